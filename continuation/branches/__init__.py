@@ -1,0 +1,1 @@
+"""Continuation: corrected steps along a branch, its special points, and the branch that results."""

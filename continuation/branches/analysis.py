@@ -1,0 +1,144 @@
+"""From corrected nodes to a Branch: screening, location, verdicts, and a check that every change is explained."""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import casadi
+import numpy as np
+
+from continuation.branches.branch import Branch, SpecialPoint
+from continuation.branches.curve import Segment
+from continuation.branches.locate import Located, locate
+from continuation.branches.newton import Metric, Node
+from continuation.branches.screening import Suspect, screen
+from continuation.orbits.orbit import Orbit
+
+_WEIGHT = {"fold": 1, "branch-point": 1, "period-doubling": 1, "neimark-sacker": 2, "grazing": 0}
+
+
+def analyse(
+    problem: Any,
+    nodes: list[Node],
+    metric: Metric,
+    stop: str,
+    began: float,
+    progress: Callable[[float, str], None] | None,
+) -> Branch:
+    """Return the Branch of corrected nodes with located special points."""
+    if progress is not None:
+        progress(1.0, f"{len(nodes)} orbits; searching special points")
+    notes: list[str] = []
+    located: list[Located] = []
+    if len(nodes) > 1:
+        nodes, suspects, notes = screen(problem, nodes, metric)
+        for suspect in _with_turns(problem, nodes, metric, suspects):
+            found = locate(suspect)
+            if isinstance(found, Located):
+                located.append(found)
+            elif found:
+                notes.append(found)
+    nodes = [n if np.isfinite(n.error) else replace(n, error=problem.adapt(n.u, n.p)[1]) for n in nodes]
+    located = _once(located, metric)
+    everything = [(n.u, n.p, n.error) for n in nodes] + [(s.node.u, s.node.p, _error(problem, s.node)) for s in located]
+    orbits = problem.orbits(everything)
+    path, ends = orbits[: len(nodes)], orbits[len(nodes) :]
+    points = [_point(problem, s, o, nodes) for s, o in zip(located, ends, strict=True)]
+    points.sort(key=lambda q: (q.index, _along(nodes, q)))
+    seconds = time.perf_counter() - began
+    work = {
+        "points": len(path),
+        "newton_steps": problem.evaluations,
+        "factorisations": problem.factorisations + problem.evaluations,
+        "seconds": seconds,
+    }
+    provenance = {
+        "method": repr(problem.method),
+        "system": repr(problem.system),
+        "casadi": casadi.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+    notes += _unexplained(path, points)
+    return Branch(tuple(path), tuple(points), stop, work, provenance, tuple(dict.fromkeys(notes)))
+
+
+def _error(problem: Any, node: Node) -> float:
+    return float(problem.adapt(node.u, node.p)[1])
+
+
+def _with_turns(problem: Any, nodes: list[Node], metric: Metric, suspects: list[Suspect]) -> list[Suspect]:
+    """Add the intervals in which the branch turns although no multiplier was seen to cross 1 there."""
+    seen = {(id(s.segment.a)) for s in suspects if s.test == 0}
+    out = list(suspects)
+    for a, b in zip(nodes, nodes[1:], strict=False):
+        if a.tp * b.tp < 0 and id(a) not in seen:
+            out.append(Suspect(0, Segment(problem, metric, a, b), a.tp / (a.tp - b.tp)))
+    return out
+
+
+def _once(located: list[Located], metric: Metric) -> list[Located]:
+    """Drop points that were reached from two neighbouring segments."""
+    out: list[Located] = []
+    for point in located:
+        fit = point.segment.problem.lengthen
+        same = [
+            q
+            for q in out
+            if q.kind == point.kind
+            and metric.length(fit(q.node.u, point.node.u) - point.node.u, q.node.p - point.node.p)
+            < 1e-6 + 10 * (q.error + point.error) / metric.span
+        ]
+        if not same:
+            out.append(point)
+    return out
+
+
+def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node]) -> SpecialPoint:
+    index = next(i for i, n in enumerate(nodes) if n is s.segment.a)
+    index += 1 if s.x > 1 and index + 2 < len(nodes) else -1 if s.x < 0 < index else 0
+    a, b = nodes[index], nodes[index + 1]
+    return SpecialPoint(
+        kind=s.kind,
+        parameter=s.node.p,
+        error=s.error,
+        orbit=orbit,
+        bracket=(min(a.p, b.p), max(a.p, b.p)),
+        index=index,
+        status="located" if s.status == "located" else "guessed",
+        note=s.note,
+        problem=problem,
+    )
+
+
+def _along(nodes: list[Node], point: SpecialPoint) -> float:
+    node = nodes[point.index]
+    return point.parameter * (1.0 if node.tp >= 0 else -1.0)
+
+
+def _unstable(orbit: Orbit) -> int | None:
+    """Return the number of multipliers certainly outside the unit circle, None where it is undecided."""
+    outside = np.abs(orbit.multipliers) - 1
+    if np.any(np.abs(outside) <= orbit.multiplier_error):
+        return None
+    return int(np.sum(outside > 0))
+
+
+def _unexplained(path: list[Orbit], points: list[SpecialPoint]) -> list[str]:
+    """Return a note for every change of the number of unstable multipliers that the located points do not explain."""
+    notes = []
+    counts = [(i, c) for i, o in enumerate(path) if (c := _unstable(o)) is not None]
+    for (i, before), (j, after) in zip(counts, counts[1:], strict=False):
+        between = [_WEIGHT[q.kind] for q in points if i <= q.index < j]
+        change, most = abs(after - before), sum(between)
+        if change > most or (most - change) % 2:
+            a, b = sorted((path[i].value, path[j].value))
+            notes.append(
+                f"{path[0].parameter} in [{a:.10g}, {b:.10g}]: the number of unstable multipliers changes from {before} "
+                f"to {after}, which the located points do not explain"
+            )
+    return notes

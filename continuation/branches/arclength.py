@@ -1,0 +1,217 @@
+"""The one continuation loop: pseudo-arclength steps from a start orbit along its branch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from continuation.branches.branch import Branch
+from continuation.branches.newton import Metric, Node, correct
+from continuation.errors import NoConvergence
+from continuation.orbits.orbit import Orbit
+
+Progress = Callable[[float, str], None]
+_TURN = 0.35  # rad between tangents of neighbouring points that makes a step be taken again, halved
+
+
+@dataclass(frozen=True, slots=True)
+class _Limits:
+    span: tuple[float, float]
+    first: float
+    largest: float
+    smallest: float
+    points: int
+
+
+def trace(
+    problem: Any,
+    start: Orbit,
+    span: tuple[float, float],
+    *,
+    step: float | None = None,
+    max_step: float | None = None,
+    max_points: int = 5000,
+    progress: Progress | None = None,
+) -> Branch:
+    """Trace the branch of periodic orbits through ``start`` and locate its special points.
+
+    Parameters
+    ----------
+    problem : Problem
+        What a method made of a System, e.g. ``HarmonicBalance().discretise(system, parameter="omega")``.
+    start : Orbit
+        An orbit of the branch, e.g. ``problem.guess(omega=0.5)``.
+    span : (float, float)
+        Parameter range. The branch runs from the start towards ``span[1]`` when the start lies at ``span[0]``, else
+        both ways, and ends where it leaves the range.
+    step, max_step : float, optional
+        First and largest arclength step in units of the parameter (a branch at constant amplitude moves by as much);
+        default 1/200 and 1/40 of the span.
+    max_points : int
+        Limit on accepted points.
+    progress : callable, optional
+        Called with the fraction done (0 to 1, by the parameter) and a line of text.
+
+    Returns
+    -------
+    Branch
+        Whatever was reached, with the reason why it ended in ``stop``; Ctrl-C ends it early too.
+
+    Raises
+    ------
+    ValueError
+        For a span that is empty, not finite, or does not contain the start.
+    NoConvergence
+        If not even the start can be corrected.
+    """
+    began = time.perf_counter()
+    low, high = _check_span(span, start.value)
+    width = high - low
+    limits = _Limits((low, high), step or width / 200, max_step or width / 40, width * 1e-7, max_points)
+    u, p = problem.unknown(start), start.value
+    metric = Metric(max(float(np.linalg.norm(u)), 1e-3), width)
+    first = _start(problem, u, p, metric)
+    ends = (float(span[1]),) if abs(p - span[0]) <= 1e-12 * width else (float(span[1]), float(span[0]))
+    sides, stops = [], []
+    for end in ends:
+        nodes, stop = _walk(problem, first, end, limits, metric, progress)
+        sides.append(nodes)
+        stops.append(stop)
+        if stop.startswith(("interrupted", "closed")):
+            break
+    nodes = sides[0]
+    if len(sides) == 2:
+        nodes = [replace(n, tu=-n.tu, tp=-n.tp, sign=-n.sign) for n in reversed(sides[1][1:])] + nodes
+    from continuation.branches.analysis import analyse
+
+    return analyse(problem, nodes, metric, "; ".join(dict.fromkeys(stops)), began, progress)
+
+
+def _check_span(span: tuple[float, float], value: float) -> tuple[float, float]:
+    low, high = sorted(float(v) for v in span)
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise ValueError(f"span: expected two different finite numbers, got {span}")
+    slack = 1e-9 * (high - low)
+    if not low - slack <= value <= high + slack:
+        raise ValueError(f"span {span} does not contain the start at {value}; widen it or start inside")
+    return low, high
+
+
+def _start(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
+    """Correct the start at fixed parameter, at the resolution it asks for."""
+    fixed = 1.0
+    node = correct(problem, (u, p), (np.zeros_like(u), fixed), metric, iterations=30)
+    for _ in range(12):
+        longer, error = problem.adapt(node.u, node.p)
+        if len(longer) <= len(node.u):
+            break
+        node = correct(problem, (longer, p), (np.zeros_like(longer), fixed), metric, iterations=30)
+    return replace(node, error=error)
+
+
+def _walk(
+    problem: Any, first: Node, end: float, limits: _Limits, metric: Metric, progress: Progress | None
+) -> tuple[list[Node], str]:
+    forward = np.sign(end - first.p) or 1.0
+    node = first if first.tp * forward >= 0 else replace(first, tu=-first.tu, tp=-first.tp, sign=-first.sign)
+    nodes, ds = [node], limits.first / metric.span
+    name = problem.parameter
+    try:
+        while len(nodes) < limits.points:
+            new, ds, reason = _step(problem, node, ds, limits, metric)
+            if new is None:
+                return (
+                    nodes,
+                    f"could not go on at {name} = {node.p:.6g}: {reason}; try a smaller step or more harmonics",
+                )
+            if not limits.span[0] <= new.p <= limits.span[1]:
+                landed = _land(problem, node, new, limits, metric)
+                if landed is not None:
+                    nodes.append(landed)
+                return nodes, f"reached {name} = {nodes[-1].p:.6g}"
+            nodes.append(new)
+            node = new
+            if _closed(nodes, metric, problem):
+                return nodes, "closed curve: came back to its start"
+            if progress is not None:
+                done = abs(node.p - first.p) / max(abs(end - first.p), 1e-300)
+                progress(min(done, 1.0), f"{name} = {node.p:.4g}, {len(nodes)} orbits")
+    except KeyboardInterrupt:
+        return nodes, f"interrupted at {name} = {node.p:.6g}; the orbits up to there are kept"
+    return nodes, f"limit of {limits.points} points reached at {name} = {node.p:.6g}"
+
+
+def _step(problem: Any, node: Node, ds: float, limits: _Limits, metric: Metric) -> tuple[Node | None, float, str]:
+    """Take one accepted step; return it with the next step length, or None with the reason."""
+    largest, smallest = limits.largest / metric.span, limits.smallest / metric.span
+    reason = ""
+    ds = min(ds, largest)
+    while ds >= smallest:
+        guess = node.u + ds * node.tu, node.p + ds * node.tp
+        try:
+            new = correct(problem, guess, (node.tu, node.tp), metric, iterations=8)
+        except NoConvergence as failure:
+            reason, ds = str(failure), ds / 2
+            continue
+        turn = metric.dot((node.tu, node.tp), (new.tu, new.tp))
+        angle = float(np.arccos(np.clip(turn, -1.0, 1.0)))
+        if angle > _TURN:
+            reason, ds = "the branch turns too sharply", ds / 2
+            continue
+        new = _resolve(problem, new, (node.tu, node.tp), metric)
+        growth = min(2.0, max(0.5, 0.5 * _TURN / max(angle, 1e-6)), 2.0 ** (4 - new.iterations))
+        return new, min(ds * growth, largest), ""
+    return None, ds, reason
+
+
+def _resolve(problem: Any, node: Node, direction: tuple[np.ndarray, float], metric: Metric) -> Node:
+    """Change the resolution where the error asks for it; keep the node if that does not converge."""
+    error = float("nan")
+    for _ in range(8):
+        u, error = problem.adapt(node.u, node.p)
+        if len(u) == len(node.u):
+            break
+        shorter = len(u) < len(node.u)
+        across = problem.lengthen(direction[0], u), direction[1]
+        try:
+            node = correct(problem, (u, node.p), across, metric, iterations=8)
+        except NoConvergence:
+            break  # the error estimate of the orbit tells that the wanted resolution was not reached
+        if shorter:
+            _, error = problem.adapt(node.u, node.p)
+            break
+    return replace(node, error=error)
+
+
+def _land(problem: Any, node: Node, beyond: Node, limits: _Limits, metric: Metric) -> Node | None:
+    """Return the point exactly at the end of the span, between two nodes."""
+    end = limits.span[0] if beyond.p < limits.span[0] else limits.span[1]
+    if abs(node.p - end) < 1e-12 * metric.span:
+        return None
+    u = problem.lengthen(node.u, beyond.u)
+    part = (end - node.p) / (beyond.p - node.p)
+    guess = u + part * (beyond.u - u)
+    try:
+        new = correct(problem, (guess, end), (np.zeros_like(guess), 1.0), metric)
+    except NoConvergence:
+        return None
+    if metric.dot((beyond.tu, beyond.tp), (new.tu, new.tp)) < 0:
+        new = replace(new, tu=-new.tu, tp=-new.tp, sign=-new.sign)
+    return replace(new, error=problem.adapt(new.u, new.p)[1])
+
+
+def _closed(nodes: list[Node], metric: Metric, problem: Any) -> bool:
+    if len(nodes) < 8:
+        return False
+    first, last, before = nodes[0], nodes[-1], nodes[-2]
+
+    def distance(node: Node) -> float:
+        return metric.length(problem.lengthen(first.u, node.u) - node.u, first.p - node.p)
+
+    step = metric.length(problem.lengthen(before.u, last.u) - last.u, before.p - last.p)
+    same = metric.dot((problem.lengthen(first.tu, last.u), first.tp), (last.tu, last.tp)) > 0.9
+    return same and distance(last) < 0.75 * step and distance(before) < 1.5 * step

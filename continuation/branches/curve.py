@@ -1,0 +1,60 @@
+"""The curve between two corrected points: cubic Hermite interpolation, and true points on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from continuation.branches.newton import Metric, Node, correct
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """Piece of a branch between nodes a and b, with coordinate x in [0, 1]."""
+
+    problem: Any
+    metric: Metric
+    a: Node
+    b: Node
+
+    def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        like = self.a.u if len(self.a.u) >= len(self.b.u) else self.b.u
+        fit = self.problem.lengthen
+        a = np.append(fit(self.a.u, like), self.a.p)
+        b = np.append(fit(self.b.u, like), self.b.p)
+        ta, tb = np.append(fit(self.a.tu, like), self.a.tp), np.append(fit(self.b.tu, like), self.b.tp)
+        h = self.metric.length(b[:-1] - a[:-1], b[-1] - a[-1])
+        return a, b, h * ta, h * tb
+
+    def at(self, x: np.ndarray) -> list[tuple[np.ndarray, float]]:
+        """Return interpolated points (u, p) at x (N,); error O(length^4)."""
+        a, b, ta, tb = self._ends()
+        x = np.atleast_1d(x)[:, None]
+        y = a + x * (b - a) + x * (1 - x) * ((1 - x) * (ta - (b - a)) - x * (tb - (b - a)))
+        return [(row[:-1], float(row[-1])) for row in y]
+
+    def direction(self, x: float) -> tuple[np.ndarray, float]:
+        """Return d(u, p)/dx at x."""
+        a, b, ta, tb = self._ends()
+        d = (b - a) + (1 - 4 * x + 3 * x * x) * (ta - (b - a)) - (2 * x - 3 * x * x) * (tb - (b - a))
+        return d[:-1], float(d[-1])
+
+    def node(self, x: float, like: np.ndarray | None = None) -> Node:
+        """Return the true point of the branch on the hyperplane through x (raises NoConvergence)."""
+        (u, p), (du, dp) = self.at(np.array([x]))[0], self.direction(x)
+        if like is not None:
+            u, du = self.problem.lengthen(u, like), self.problem.lengthen(du, like)
+        size = self.metric.length(du, dp)
+        return correct(self.problem, (u, p), (du / size, dp / size), self.metric)
+
+    def sharpened(self, like: np.ndarray) -> Segment:
+        """Return the same piece with both ends corrected at another resolution."""
+
+        def redo(n: Node) -> Node:
+            fit = self.problem.lengthen
+            t = fit(n.tu, like), n.tp
+            return replace(correct(self.problem, (fit(n.u, like), n.p), t, self.metric), error=n.error)
+
+        return Segment(self.problem, self.metric, redo(self.a), redo(self.b))

@@ -1,0 +1,151 @@
+"""Locate special points on the true branch: safeguarded secant on the test function, at rising resolution."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from continuation.branches.branch import Kind
+from continuation.branches.curve import Segment
+from continuation.branches.newton import Node
+from continuation.branches.screening import Suspect
+from continuation.errors import NoConvergence
+
+_GOAL = 1e-9  # wanted error, relative to the size of the parameter
+_ROOT = 2e-12  # where the secant stops, relative likewise
+_REACH = 0.5  # how far outside its segment a root may lie (multipliers and operator are discretised differently)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """A located point: kind, node, parameter error, the segment it was found on and its coordinate x there."""
+
+    kind: Kind
+    node: Node
+    error: float
+    segment: Segment
+    x: float
+    status: str
+    note: str = ""
+
+
+def locate(suspect: Suspect) -> Located | str:
+    """Return the located point, a note (str) on why it can't be located, or "" where there is none."""
+    segment = suspect.segment
+    kind = _kind(suspect)
+    test = _tests(segment.problem, kind)
+    reason = ""
+    for x0 in (suspect.x, 0.5, 0.0, 1.0):
+        try:
+            return _rising(segment, kind, test, x0)
+        except NoConvergence as failure:
+            reason = str(failure)
+            if reason == "neutral saddle":
+                return ""
+    a, b = sorted((segment.a.p, segment.b.p))
+    return f"{segment.problem.parameter} in [{a:.10g}, {b:.10g}]: {kind} seen but not located ({reason})"
+
+
+def _kind(suspect: Suspect) -> Kind:
+    if suspect.test == 1:
+        return "period-doubling"
+    if suspect.test == 2:
+        return "neimark-sacker"
+    a, b = suspect.segment.a, suspect.segment.b
+    return "branch-point" if a.sign != b.sign and a.tp * b.tp > 0 else "fold"
+
+
+def _tests(problem: Any, kind: Kind) -> Callable[[Node], float]:
+    if kind == "fold":
+        return lambda node: node.tp
+    if kind == "period-doubling":
+        return lambda node: problem.flip(node.u, node.p)
+    if kind == "branch-point":
+
+        def touch(node: Node) -> float:
+            matrix = problem.monodromies([(node.u, node.p)])[0]
+            return float(np.prod(1 - np.linalg.eigvals(matrix)).real)
+
+        return touch
+
+    def modulus(node: Node) -> float:
+        mu = np.linalg.eigvals(problem.monodromies([(node.u, node.p)])[0])
+        pairs = mu[mu.imag > 1e-9]
+        if not pairs.size:
+            raise NoConvergence("neutral saddle")
+        nearest = pairs[np.argmin(np.abs(np.abs(pairs) - 1))]
+        return float(np.abs(nearest) - 1)
+
+    return modulus
+
+
+def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: float) -> Located:
+    """Repeat the root search with twice the harmonics until the change of the parameter says it is good enough."""
+    problem = segment.problem
+    scale = max(abs(segment.a.p), abs(segment.b.p), 1e-3)
+    like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
+    x, node, slope = _secant(segment, test, x, like, None, scale)
+    found, changes = node, []
+    fixed = problem.method.harmonics is not None if hasattr(problem.method, "harmonics") else False
+    error = np.inf
+    while True:
+        longer = problem.refined(node.u, node.p)
+        if longer is None:
+            break
+        at, node, slope = _secant(segment, test, x, longer, slope, scale)
+        changes.append(abs(node.p - found.p))
+        if fixed:
+            return _result(kind, found, changes[-1] + _ROOT * scale, segment, x)
+        x, found = at, node
+        error = _extrapolated(changes) + _ROOT * scale
+        if error <= _GOAL * scale:
+            break
+    if not changes:
+        error = problem.point_error(node, kind)
+    return _result(kind, found, error, segment, x)
+
+
+def _result(kind: Kind, node: Node, error: float, segment: Segment, x: float) -> Located:
+    good = error <= 1e-8 * max(1.0, abs(node.p))
+    note = "" if good else "more harmonics are needed for an error below 1e-8"
+    return Located(kind, node, error, segment, x, "located" if good else "guessed", note)
+
+
+def _extrapolated(changes: list[float]) -> float:
+    """Error left after a sequence of changes under doubling: twice the geometric remainder, ratio at most 1/2."""
+    if len(changes) == 1:
+        return changes[0]
+    ratio = min(0.5, max(changes[-1] / max(changes[-2], 1e-300), 0.02))
+    return 2 * changes[-1] * ratio / (1 - ratio)
+
+
+def _secant(
+    segment: Segment, test: Callable[[Node], float], x: float, like: np.ndarray, slope: float | None, scale: float
+) -> tuple[float, Node, float]:
+    """Return coordinate, node and slope of a root of the test near x, at the resolution of ``like``."""
+    reach = max(abs(segment.b.p - segment.a.p), 1e-3 * scale)
+    node = segment.node(x, like)
+    value = test(node)
+    if slope is None:
+        step = 1e-3 if x < 0.5 else -1e-3
+        slope = (test(segment.node(x + step, like)) - value) / step
+    for _ in range(25):
+        if slope == 0 or not np.isfinite(slope):
+            break
+        move = float(np.clip(-value / slope, -0.25, 0.25))
+        if not -_REACH <= x + move <= 1 + _REACH:
+            break
+        new = segment.node(x + move, like)
+        moved = abs(new.p - node.p)
+        new_value = test(new)
+        if new_value != value and move != 0:
+            slope = (new_value - value) / move
+        x, node, value = x + move, new, new_value
+        if abs(value / slope) * reach <= _ROOT * scale or (moved <= _ROOT * scale and abs(value / slope) < 1e-5):
+            return x, node, slope
+        if value == 0 or abs(move) < 1e-13:
+            return x, node, slope
+    raise NoConvergence("the test function has no root nearby")

@@ -1,0 +1,148 @@
+"""Damped semismooth Newton on ``F(u, p) = 0`` with one bordering row, the step of every continuation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import scipy.linalg as sl
+
+from continuation.errors import NoConvergence
+
+_STEP = 3e-8  # a step below this (relative) is the last: convergence is quadratic
+_HALVINGS = 6
+
+
+class Problem(Protocol):
+    """What a method makes of a System; what the continuation loop needs of it."""
+
+    parameter: str
+
+    def linearise(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return F (N,), dF/du (N, N), dF/dp (N,)."""
+        ...
+
+    def adapt(self, u: np.ndarray, p: float) -> tuple[np.ndarray, float]:
+        """Return u at the resolution its error asks for, and the error estimate."""
+        ...
+
+    def lengthen(self, u: np.ndarray, like: np.ndarray) -> np.ndarray:
+        """Bring u to the length of another vector."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """Arclength ds^2 = |du|^2 / size^2 + dp^2 / span^2."""
+
+    size: float
+    span: float
+
+    def length(self, du: np.ndarray, dp: float) -> float:
+        """Return the length of a displacement."""
+        return float(np.sqrt(du @ du / self.size**2 + (dp / self.span) ** 2))
+
+    def dot(self, a: tuple[np.ndarray, float], b: tuple[np.ndarray, float]) -> float:
+        """Return the inner product of two displacements of equal length."""
+        return float(a[0] @ b[0] / self.size**2 + a[1] * b[1] / self.span**2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Node:
+    """A corrected point: unknown u, parameter p, unit tangent (tu, tp), sign of the bordered determinant, work."""
+
+    u: np.ndarray
+    p: float
+    tu: np.ndarray
+    tp: float
+    sign: float
+    iterations: int
+    error: float = float("nan")
+
+
+def correct(
+    problem: Problem,
+    guess: tuple[np.ndarray, float],
+    direction: tuple[np.ndarray, float],
+    metric: Metric,
+    *,
+    iterations: int = 12,
+) -> Node:
+    """Solve F = 0 on the hyperplane through ``guess`` normal to ``direction``.
+
+    Parameters
+    ----------
+    guess, direction : (u, p)
+        Start and normal; a direction ``(0, 1)`` keeps the parameter fixed.
+
+    Returns
+    -------
+    Node
+        With a unit tangent oriented along ``direction``.
+
+    Raises
+    ------
+    NoConvergence
+        With the residual history, when damped Newton does not converge.
+    """
+    u, p = guess
+    border = np.append(direction[0] / metric.size**2, direction[1] / metric.span**2)
+    history: list[float] = []
+    best = np.inf
+    F, J, Fp = _linearise(problem, u, p, history)
+    for count in range(1, iterations + 1):
+        history.append(float(np.linalg.norm(F)))
+        step, tangent, sign = _solve(J, Fp, F, border, history, p)
+        du, dp = step[:-1], float(step[-1])
+        size = metric.length(du, dp)
+        if not np.isfinite(size):
+            raise NoConvergence("Newton's step is not finite", history, p)
+        if size < _STEP * max(1.0, float(np.linalg.norm(u)) / metric.size):
+            tu, tp = tangent[:-1], float(tangent[-1])
+            norm = metric.length(tu, tp)
+            return Node(u + du, p + dp, tu / norm, tp / norm, sign, count)
+        u, p, F, J, Fp = _damped(problem, (u, p), (du, dp), history)
+        best = min(best, size)
+        if count > 6 and size > 10 * best:
+            break
+    raise NoConvergence(f"Newton's method did not converge in {len(history)} steps", history, p)
+
+
+def _linearise(problem: Problem, u: np.ndarray, p: float, history: list[float]) -> Any:
+    try:
+        return problem.linearise(u, p)
+    except (ValueError, np.linalg.LinAlgError) as reason:
+        raise NoConvergence(str(reason), history, p) from reason
+
+
+def _damped(
+    problem: Problem, at: tuple[np.ndarray, float], step: tuple[np.ndarray, float], history: list[float]
+) -> Any:
+    """Take the step, halved while the residual grows; the last halving is taken as it is (contact patterns change)."""
+    scale = 1.0
+    for halving in range(_HALVINGS + 1):
+        u, p = at[0] + scale * step[0], at[1] + scale * step[1]
+        F, J, Fp = _linearise(problem, u, p, history)
+        if np.linalg.norm(F) <= max(2.0 * history[-1], 1e-12) or halving == _HALVINGS:
+            break
+        scale /= 2
+    return u, p, F, J, Fp
+
+
+def _solve(
+    J: np.ndarray, Fp: np.ndarray, F: np.ndarray, border: np.ndarray, history: list[float], p: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Newton step and tangent from one factorisation of the bordered matrix, and the sign of its determinant."""
+    n = len(F)
+    matrix = np.empty((n + 1, n + 1), order="F")
+    matrix[:n, :n], matrix[:n, n], matrix[n] = J, Fp, border
+    right = np.zeros((n + 1, 2), order="F")
+    right[:n, 0], right[n, 1] = -F, 1.0
+    lu, pivots, info = sl.lapack.dgetrf(matrix, overwrite_a=True)
+    if info != 0:
+        raise NoConvergence("the bordered Jacobian is singular", history, p)
+    solution, _ = sl.lapack.dgetrs(lu, pivots, right, overwrite_b=True)
+    swaps = int(np.count_nonzero(pivots != np.arange(n + 1)))
+    sign = float(np.prod(np.sign(np.diag(lu)))) * (-1.0) ** swaps
+    return solution[:, 0], solution[:, 1], sign

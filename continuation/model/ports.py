@@ -1,0 +1,291 @@
+"""Find the constant linear part of a System and the few nonlinear or time-varying ports it is closed by.
+
+Any System is written exactly as
+
+    dx/dt = A(p) x + u(theta, p) + B(p) w(theta, p; y),      y = C(p) x,
+
+with the port force ``w = r(y, theta, p) + sum_c gain_c(theta, p) * force_c(d_c . y + offset_c(theta, p))``: a smooth
+part and the contact laws. B has as many columns as the forces have independent directions, C as many rows as they
+have independent arguments; a gear pair of any number of coordinates has one of each. Where no structure is found, B
+and C become square and the same formulas solve the model in full.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+import scipy.linalg as sl
+
+from continuation.errors import UnsupportedModel
+from continuation.model.system import System
+
+_RANK = 1e-10  # relative singular value below which a direction does not count
+_SAMPLES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class LinearPart:
+    """Numbers of the linear part at one parameter vector: A (n, n), B (n, m), C (k, n), d (contacts, k), S (m, k).
+
+    S is a reference stiffness of the ports (contacts closed): ``A - B S C`` is what receptances are taken of, so
+    that an open gap or a rigid body does not make them singular; the ports carry ``w + S y``, which changes nothing.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    d: np.ndarray
+    S: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Forcing:
+    """Fourier coefficients over one excitation period, index 0..J: u (J+1, n), gain (contacts, m, J+1), offset."""
+
+    u: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
+
+
+class Ports:
+    """The port structure of a System; evaluates its parts at a parameter vector and caches the last ones.
+
+    Raises
+    ------
+    UnsupportedModel
+        If a contact force enters with a gain that depends on states, or its argument is not linear in the states.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x, v, theta, omega = (ca.SX.sym(n) for n in ("x", "v", "theta", "omega"))
+    >>> s = System(name="duffing", states={"x": x, "v": v}, derivatives={"x": v, "v": -x - x**3 - 0.1*v + ca.cos(theta)},
+    ...            phase=theta, frequency="omega", parameters={"omega": (omega, 1.0)})
+    >>> ports = Ports(s)
+    >>> ports.inputs, ports.outputs
+    (1, 1)
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        x, phi, theta, p = system.x, system.phi, system.theta, system.p
+        f, arguments = system.derivative, system.arguments
+        self._jacobian = ca.jacobian(f, x)
+        self._gains, self._slopes = ca.jacobian(f, phi), ca.jacobian(arguments, x)
+        self._check_contacts()
+        self._constant, self._varying = self._split()
+        zero = [ca.SX.zeros(x.shape), ca.SX.zeros(phi.shape)]
+        u, offset = ca.substitute([f, arguments], [x, phi], zero)
+        self._u, self._offset = ca.densify(u), ca.densify(offset)
+        self._find_pivots()
+        self._build_functions(theta, p)
+        self._cache: dict[str, tuple[bytes, object]] = {}
+
+    def _check_contacts(self) -> None:
+        s = self.system
+        for i, contact in enumerate(s.contacts):
+            if ca.depends_on(self._gains[:, i], ca.vertcat(s.x, s.phi)):
+                raise UnsupportedModel(
+                    f"contact {contact.name!r} of system {s.name!r}: its force must enter linearly, with a gain of phase "
+                    "and parameters only; use system.smoothed(width) or Shooting instead"
+                )
+            if ca.depends_on(self._slopes[i, :], ca.vertcat(s.x, s.theta)):
+                raise UnsupportedModel(
+                    f"contact {contact.name!r} of system {s.name!r}: its argument must be linear in the states with "
+                    "constant coefficients; use system.smoothed(width) or Shooting instead"
+                )
+
+    def _split(self) -> tuple[ca.SX, ca.SX]:
+        """Split df/dx into entries that depend on parameters only and entries that vary along an orbit."""
+        jacobian = ca.sparsify(self._jacobian)
+        if jacobian.nnz() == 0:
+            return jacobian, jacobian
+        entries = ca.vertcat(*jacobian.nonzeros())
+        varies = ca.which_depends(entries, ca.vertcat(self.system.x, self.system.theta), 1, True)
+        parts = [ca.vertcat(*(e if v == keep else ca.SX(0) for e, v in zip(jacobian.nonzeros(), varies, strict=True)))
+                 for keep in (False, True)]  # fmt: skip
+        constant, varying = (ca.SX(jacobian.sparsity(), part) for part in parts)
+        return constant, varying
+
+    def _sample_function(self) -> ca.Function:
+        s = self.system
+        outputs = [ca.densify(e) for e in (self._varying, self._gains, self._slopes)]
+        return ca.Function("samples", [s.x, s.theta, s.p], outputs)
+
+    def _stacks(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sample the varying Jacobian: columns that span the port directions (n, .), rows that span the arguments."""
+        rng = np.random.default_rng(0)
+        n = len(self.system.state_names)
+        columns, rows = [], []
+        for _ in range(_SAMPLES):
+            values = self._sampler(rng.standard_normal(n), rng.uniform(0, 2 * np.pi), p)
+            varying, gains, slopes = (np.array(v).reshape(v.shape) for v in values)
+            columns.append(np.hstack([varying, gains]))
+            rows.append(np.vstack([varying, slopes]))
+        return np.hstack(columns), np.vstack(rows)
+
+    def _find_pivots(self) -> None:
+        """Choose the states that carry the ports, at parameters a little off the defaults so that no zero hides one."""
+        self._sampler = self._sample_function()
+        p = self.system.parameter_vector()
+        off = p * (1 + 0.01 * np.cos(np.arange(p.size))) + 1e-3 * np.sin(1.0 + np.arange(p.size))
+        columns, rows = self._stacks(off)
+        if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(rows))):
+            columns, rows = self._stacks(p)
+        self.rows, self.cols = _pivots(columns), _pivots(rows.T)
+
+    def _build_functions(self, theta: ca.SX, p: ca.SX) -> None:
+        s = self.system
+        y = ca.SX.sym("y", len(self.cols))
+        x = ca.SX.zeros(len(s.state_names), 1)
+        for i, col in enumerate(self.cols):
+            x[col] = y[i]
+        rows = [int(r) for r in self.rows]
+        f0 = ca.substitute(s.derivative, s.phi, ca.SX.zeros(s.phi.shape))
+        force = ca.substitute(f0, s.x, x) - self._u - ca.substitute(self._constant, s.x, x) @ x
+        slope = ca.substitute(self._varying, s.x, x)
+        self.smooth = bool(self._varying.nnz()) and not self._varying.is_zero()
+        self._law = ca.Function(
+            "law", [y, theta, p], [force[rows], ca.densify(slope[rows, [int(c) for c in self.cols]])]
+        )
+        gains = ca.densify(self._gains[rows, :]) if rows else ca.SX(0, 1)
+        self._periodic = ca.Function("periodic", [theta, p], [self._u, ca.vec(gains), self._offset])
+        self._constant_at = ca.Function("constant", [p], [ca.densify(self._constant)])
+        frequency = p[s.parameter_names.index(s.frequency)] if s.frequency else ca.SX.sym("none")
+        linear = ca.vertcat(ca.vec(self._constant), ca.vec(self._varying), ca.vec(self._gains), ca.vec(self._slopes))
+        self._linear_moves = bool(ca.depends_on(linear, frequency))
+        self._forcing_moves = self._linear_moves or bool(
+            ca.depends_on(ca.vertcat(self._u, ca.vec(gains), self._offset), frequency)
+        )
+
+    @property
+    def inputs(self) -> int:
+        """Number of independent port forces m."""
+        return len(self.rows)
+
+    @property
+    def outputs(self) -> int:
+        """Number of independent port arguments k."""
+        return len(self.cols)
+
+    @cached_property
+    def frequency_explicit(self) -> bool:
+        """Whether the right-hand side depends on the frequency other than through the phase."""
+        return self._forcing_moves or bool(ca.depends_on(self.system.derivative, self._frequency_symbol))
+
+    @cached_property
+    def _frequency_symbol(self) -> ca.SX:
+        s = self.system
+        return s.p[s.parameter_names.index(s.frequency)] if s.frequency else ca.SX.sym("none")
+
+    def law(self, y: np.ndarray, theta: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the smooth port force (m, N) and its slope (m, k, N) at y (k, N), theta (N,)."""
+        force, slope = self._law(y, theta.reshape(1, -1), p)
+        count, m, k = theta.size, self.inputs, self.outputs
+        return np.array(force).reshape(m, count), np.array(slope).reshape(m, count, k).transpose(0, 2, 1)
+
+    def linear(self, p: np.ndarray) -> LinearPart:
+        """Return the linear part at p (cached while only the frequency changes and nothing else depends on it)."""
+        return self._cached("linear", p, self._linear_moves, self._make_linear)
+
+    def forcing(self, p: np.ndarray) -> Forcing:
+        """Return the Fourier coefficients of forcing, contact gains and contact offsets at p (cached likewise)."""
+        return self._cached("forcing", p, self._forcing_moves, self._make_forcing)
+
+    def _cached(self, name, p, moves, make):  # type: ignore[no-untyped-def]
+        key = p if moves or self.system.frequency is None else self._without_frequency(p)
+        tag = key.tobytes()
+        found = self._cache.get(name)
+        if found is None or found[0] != tag:
+            found = self._cache[name] = (tag, make(p))
+        return found[1]
+
+    def _without_frequency(self, p: np.ndarray) -> np.ndarray:
+        key = p.copy()
+        key[self.system.parameter_names.index(self.system.frequency)] = 0.0
+        return key
+
+    def _make_linear(self, p: np.ndarray) -> LinearPart:
+        columns, rows = self._stacks(p)
+        A = np.array(self._constant_at(p)).reshape(len(columns), -1)
+        B = _interpolate(columns, self.rows)
+        C = _interpolate(rows.T, self.cols).T
+        slopes = np.array(self._sampler(np.zeros(len(A)), 0.0, p)[2]).reshape(len(self.system.contacts), len(A))
+        d = slopes[:, self.cols]
+        return LinearPart(A, B, C, d, self._reference_slope(p, A, B, C, d))
+
+    def _reference_slope(self, p: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """Return S: minus the mean port slope with contacts closed, at the spread of y that conditions A best."""
+        theta = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        contact = np.zeros((self.inputs, self.outputs))
+        gain = self.forcing(p).gain
+        for c, law in enumerate(self.system.contacts):
+            contact += max(law.slopes, key=abs) * np.outer(gain[c, :, 0].real, d[c])
+        if not self.smooth:
+            return -contact
+        rng = np.random.default_rng(1)
+        candidates = []
+        for spread in (0.0, 1.0, 3.0):
+            y = spread * rng.standard_normal((self.outputs, theta.size))
+            candidates.append(-contact - self.law(y, theta, p)[1].mean(axis=2))
+        return max(candidates, key=lambda S: _conditioning(A - B @ S @ C))
+
+    def _make_forcing(self, p: np.ndarray) -> Forcing:
+        count = 64
+        while True:
+            theta = 2 * np.pi * np.arange(count) / count
+            u, gain, offset = (np.array(v).reshape(-1, count) for v in self._periodic(theta.reshape(1, -1), p))
+            spectrum = np.fft.rfft(np.vstack([u, gain, offset]), axis=1) / count
+            size = np.abs(spectrum).max(axis=1, keepdims=True)
+            scale = max(size.max(initial=0.0), 1e-300)
+            tail = np.abs(spectrum[:, -count // 8 :]).max(initial=0.0)
+            if tail <= 1e-13 * scale or count >= 8192:
+                break
+            count *= 2
+        if tail > 1e-9 * scale:
+            raise UnsupportedModel(
+                f"system {self.system.name!r}: forcing or contact gain is not a smooth function of the phase "
+                f"(harmonic {count // 2} is still {tail / scale:.1e} of the largest); write it as a Fourier series"
+            )
+        spectrum[np.abs(spectrum) < 1e-15 * size] = 0.0
+        last = max(int(np.flatnonzero(np.abs(spectrum).max(axis=0)).max(initial=0)), 0)
+        spectrum = spectrum[:, : last + 1]
+        n, c, m = len(self.system.state_names), len(self.system.contacts), self.inputs
+        return Forcing(
+            u=spectrum[:n].T,
+            gain=spectrum[n : n + c * m].reshape(c, m, last + 1),
+            offset=spectrum[n + c * m :],
+        )
+
+
+def _pivots(stack: np.ndarray) -> np.ndarray:
+    """Return indices of rows of the stack that span its row space, the best conditioned first."""
+    norms = np.linalg.norm(stack, axis=1, keepdims=True)
+    scaled = stack / np.where(norms > 0, norms, 1.0)
+    if not scaled.any():
+        return np.zeros(0, dtype=int)
+    _, r, order = sl.qr(scaled.T, mode="economic", pivoting=True)
+    size = np.abs(np.diag(r))
+    return np.sort(order[: int(np.sum(size > _RANK * size[0]))])
+
+
+def _interpolate(stack: np.ndarray, pivots: np.ndarray) -> np.ndarray:
+    """Return X with ``stack = X stack[pivots]``, X[pivots] the identity."""
+    result = stack @ np.linalg.pinv(stack[pivots], rcond=_RANK) if len(pivots) else np.zeros((len(stack), 0))
+    defect = np.abs(result @ stack[pivots] - stack).max(initial=0.0)
+    if defect > 1e-8 * max(np.abs(stack).max(initial=0.0), 1e-300):
+        raise UnsupportedModel(
+            "the ports of the System change their number with the parameters; build it with default parameter values "
+            "at which every nonlinear term is present"
+        )
+    result[np.abs(result) < 1e-14] = 0.0
+    result[pivots] = np.eye(len(pivots))
+    return result
+
+
+def _conditioning(matrix: np.ndarray) -> float:
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return float(values[-1] / max(values[0], 1e-300)) if np.all(np.isfinite(values)) else -1.0

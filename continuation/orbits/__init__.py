@@ -1,0 +1,1 @@
+"""Discretisations: harmonic balance, shooting, the orbit they give, and its Floquet multipliers."""

@@ -1,0 +1,71 @@
+"""Stability verdicts: multipliers with error bars, and the Orbit that carries them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from continuation.orbits.monodromy import monodromy, multipliers
+from continuation.orbits.orbit import Orbit, Stability
+from continuation.orbits.spectrum import resize
+
+_FLOOR = 1e-10  # error of the transition integrator and of the eigenvalues of a well-conditioned matrix
+
+
+def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
+    """Return the Orbits of corrected harmonic-balance points (u, p, waveform error).
+
+    The error bar of a multiplier is its change when the waveform is moved by its estimated error, plus the defect
+    of Liouville's determinant. An orbit with a multiplier within its error bar of the unit circle is undecided.
+    """
+    k = problem.ports.outputs
+    flow = monodromy(problem, [(u, p) for u, p, _ in points])
+    moved = []
+    for u, p, _ in points:
+        step = problem.correction(u, p)
+        longer = resize(u, k, (len(step) // k - 1) // 2)
+        moved.append((longer + step, p))
+    other = monodromy(problem, moved)
+    mu, shifted = multipliers(flow.matrices), multipliers(other.matrices)
+    orbits = []
+    for i, (u, p, error) in enumerate(points):
+        bar = distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + _FLOOR
+        orbits.append(
+            Orbit(
+                system=problem.system.name,
+                state_names=problem.system.state_names,
+                parameter=problem.parameter,
+                parameters=dict(zip(problem.system.parameter_names, problem.vector(p).tolist(), strict=True)),
+                period=2 * np.pi / problem.frequency(p),
+                period_multiple=problem.period_multiple,
+                coefficients=problem.state_spectrum(u, p),
+                multipliers=mu[i],
+                multiplier_error=bar,
+                stability=verdict(mu[i], bar),
+                error=error,
+            )
+        )
+    return orbits
+
+
+def distance(mu: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return |mu - its partner| (n,) under the best pairing of two sets of multipliers."""
+    table = np.abs(mu[:, None] - other[None, :])
+    rows, columns = linear_sum_assignment(table)
+    return table[rows, columns]
+
+
+def verdict(mu: np.ndarray, bar: np.ndarray) -> Stability:
+    """Return the stability of multipliers (n,) with error bars (n,).
+
+    >>> verdict(np.array([0.5, 0.2]), np.array([1e-6, 1e-6]))
+    'stable'
+    >>> verdict(np.array([1.0000001, 0.2]), np.array([1e-6, 1e-6]))
+    'undecided'
+    """
+    outside = np.abs(mu) - 1
+    if np.any(outside > bar):
+        return "unstable"
+    return "stable" if np.all(outside < -bar) else "undecided"

@@ -1,0 +1,302 @@
+"""Harmonic balance, condensed exactly onto the nonlinear ports of a System; contact in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from continuation.errors import UnsupportedModel
+from continuation.model.ports import Ports
+from continuation.model.system import System
+from continuation.orbits.orbit import Orbit
+from continuation.orbits.port_force import PortForces
+from continuation.orbits.receptance import Receptance, receptance
+from continuation.orbits.spectrum import operator, pack, resize, unpack
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicBalance:
+    """Settings of harmonic balance.
+
+    Parameters
+    ----------
+    harmonics : int, optional
+        Fixed number of harmonics H. None (the default) chooses it along the branch by the error estimate.
+    tolerance : float
+        Wanted error of the waveform of the port arguments, relative to their size, when harmonics is None.
+    max_harmonics : int
+        Largest number that the choice may reach; an orbit reports its own error whatever it is.
+
+    Examples
+    --------
+    >>> HarmonicBalance(harmonics=1)
+    HarmonicBalance(harmonics=1, tolerance=1e-06, max_harmonics=511)
+    """
+
+    harmonics: int | None = None
+    tolerance: float = 1e-6
+    max_harmonics: int = 511
+
+    def __post_init__(self) -> None:
+        if self.harmonics is not None and (self.harmonics < 1 or self.harmonics != int(self.harmonics)):
+            raise ValueError(f"harmonics: expected a whole number >= 1 or None, got {self.harmonics}")
+        if not 0 < self.tolerance < 1:
+            raise ValueError(f"tolerance: expected a number between 0 and 1, got {self.tolerance}")
+        if self.max_harmonics < 1:
+            raise ValueError(f"max_harmonics: expected a whole number >= 1, got {self.max_harmonics}")
+
+    def discretise(
+        self, system: System, parameter: str, *, period_multiple: int = 1, **values: float
+    ) -> HarmonicBalanceProblem:
+        """Make a Problem in one continuation parameter; other parameters take the given values or their defaults.
+
+        Raises
+        ------
+        ValueError
+            For an unknown parameter name or a period multiple below 1.
+        UnsupportedModel
+            For an autonomous System, or a contact that enters non-linearly.
+        """
+        return HarmonicBalanceProblem(self, system, parameter, period_multiple, values)
+
+
+class HarmonicBalanceProblem:
+    """Condensed harmonic-balance equations of one System in one parameter; see :class:`HarmonicBalance`.
+
+    The unknown u is the packed spectrum of the port arguments (module ``spectrum``); its length tells the number of
+    harmonics, so orbits of different resolution live in one branch.
+    """
+
+    def __init__(
+        self, method: HarmonicBalance, system: System, parameter: str, period_multiple: int, values: dict[str, float]
+    ) -> None:
+        if system.autonomous:
+            raise UnsupportedModel(f"system {system.name!r} is autonomous; harmonic balance needs an excitation phase")
+        if period_multiple < 1 or period_multiple != int(period_multiple):
+            raise ValueError(f"period_multiple: expected a whole number >= 1, got {period_multiple}")
+        self.method, self.system, self.parameter = method, system, system.check_parameter(parameter)
+        self.period_multiple = int(period_multiple)
+        self.values = dict(zip(system.parameter_names, system.parameter_vector(values).tolist(), strict=True))
+        self.ports = Ports(system)
+        self._index = system.parameter_names.index(parameter)
+        self._frequency = system.parameter_names.index(system.frequency)
+        self._receptance: tuple[int, Receptance] | None = None
+        self.forces = PortForces(self.ports, self.period_multiple)
+        self.evaluations = self.factorisations = 0
+
+    # ---------------------------------------------------------------- parameters and linear part
+    def vector(self, p: float) -> np.ndarray:
+        """Return the full parameter vector with the continuation parameter at p."""
+        vector = np.fromiter(self.values.values(), dtype=float)
+        vector[self._index] = p
+        return vector
+
+    def frequency(self, p: float) -> float:
+        """Return the base angular frequency of the orbit (excitation frequency over the period multiple)."""
+        omega = self.vector(p)[self._frequency] / self.period_multiple
+        if not omega > 0:
+            raise ValueError(f"frequency {self.system.frequency!r}: expected a positive number, got {omega}")
+        return float(omega)
+
+    def receptance(self, p: float) -> Receptance:
+        """Return the receptance at p, rebuilt only when the linear part changes."""
+        part = self.ports.linear(self.vector(p))
+        if self._receptance is None or self._receptance[0] != id(part):
+            self._receptance = (id(part), receptance(part))
+        return self._receptance[1]
+
+    def transfer(self, p: float, orders: np.ndarray) -> np.ndarray:
+        """Return the port receptance (K, k, m) at harmonic orders (0 first, if there)."""
+        r, s = self.receptance(p), 1j * orders * self.frequency(p)
+        if orders[0] != 0:
+            return r.ports(s)
+        static = r.part.C @ r.static @ r.part.B
+        return np.concatenate([static[None].astype(complex), r.ports(s[1:])])
+
+    def states(self, p: float, load: np.ndarray, power: int = 1) -> np.ndarray:
+        """Return state harmonics ``M_k^-power load_k`` for load (K, n) at orders 0..K-1."""
+        r = self.receptance(p)
+        s = 1j * np.arange(1, len(load)) * self.frequency(p)
+        zero = np.linalg.matrix_power(r.static, power) @ load[0]
+        return np.concatenate([zero[None], r.solve(s, load[1:, :, None], power)[..., 0]])
+
+    # ---------------------------------------------------------------- residual and derivatives
+    def residual(self, u: np.ndarray, p: float) -> np.ndarray:
+        """Return F(u, p), same shape as u; cost one closed-form force, about 0.15 ms at H = 63."""
+        Y = unpack(u, self.ports.outputs)
+        return pack(self._balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[0])
+
+    def _balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return residual harmonics, port receptance and load (K, n) on the linear part."""
+        r, orders = self.receptance(p), np.arange(len(Y))
+        transfer = self.transfer(p, orders)
+        V = W + (r.stiffness(orders) @ Y[..., None])[..., 0]
+        load = V @ r.part.B.T
+        u = self.ports.forcing(self.vector(p)).u
+        n = self.period_multiple
+        keep = min(len(u), (len(Y) - 1) // n + 1)
+        driven = np.zeros_like(load)
+        driven[: (keep - 1) * n + 1 : n] = u[:keep]
+        few = (keep - 1) * n + 1
+        free = np.zeros_like(Y)
+        free[:few] = self.states(p, driven[:few]) @ r.part.C.T
+        R = Y - (transfer @ V[..., None])[..., 0] - free
+        return R, transfer, load + driven
+
+    def linearise(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return F (N,), J = dF/du (N, N) and dF/dp (N,) at once; J is exact, also with contacts."""
+        self.evaluations += 1
+        Y = unpack(u, self.ports.outputs)
+        H = len(Y) - 1
+        force = self.forces(Y, self.vector(p), H, 2 * H)
+        R, transfer, load = self._balance(Y, force.W, p)
+        J = operator(transfer, force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
+        return pack(R), J, self._parameter_derivative(u, p, load)
+
+    def _parameter_derivative(self, u: np.ndarray, p: float, load: np.ndarray) -> np.ndarray:
+        """Return dF/dp: analytic for a frequency that acts through the phase, else central differences of F."""
+        if self._index == self._frequency and not self.ports.frequency_explicit:
+            orders = 1j * np.arange(len(load)) / self.period_multiple
+            return pack((orders[:, None] * self.states(p, load, 2)) @ self.receptance(p).part.C.T)
+        h = 6e-6 * max(1.0, abs(p))  # error about h^2 = 4e-11 and 1e-16 / h = 2e-11
+        return (self.residual(u, p + h) - self.residual(u, p - h)) / (2 * h)
+
+    def half_operator(self, u: np.ndarray, p: float) -> np.ndarray:
+        """Return the operator on half-integer harmonics, singular exactly at a multiplier -1; shape (2 K k, 2 K k)."""
+        Y = unpack(u, self.ports.outputs)
+        K = max(len(Y) - 1, 2)
+        orders = np.arange(K) + 0.5
+        slope = self.forces(Y, self.vector(p), 0, 2 * K).slope
+        return operator(self.transfer(p, orders), slope, self.receptance(p).stiffness(orders), K, half=True)
+
+    # ---------------------------------------------------------------- error and resolution
+    def correction(self, u: np.ndarray, p: float) -> np.ndarray:
+        """Return the estimated error of u, a vector with twice the harmonics, to first order in what was left out."""
+        k = self.ports.outputs
+        Y = unpack(u, k)
+        H = len(Y) - 1
+        longer = np.zeros((2 * H + 2, k), dtype=complex)
+        longer[: H + 1] = Y
+        force = self.forces(longer, self.vector(p), 2 * H + 1, 3 * H + 2)
+        R, transfer, _ = self._balance(longer, force.W, p)
+        tail = np.zeros_like(longer)
+        mean = force.slope[len(force.slope) // 2] + self.receptance(p).stiffness(np.arange(1, 2))[0]
+        tail[H + 1 :] = -np.linalg.solve(np.eye(k) - transfer[H + 1 :] @ mean, R[H + 1 :, :, None])[..., 0]
+        J = operator(transfer[: H + 1], force.slope, self.receptance(p).stiffness(np.arange(H + 1)), 2 * H + 2)
+        self.factorisations += 1
+        low, full = self._column_split(k, H)
+        tail[: H + 1] = unpack(np.linalg.solve(J[:, low], -(J[:, full] @ pack(tail)[full])), k)
+        return pack(tail)
+
+    @staticmethod
+    def _column_split(k: int, H: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return columns of the low harmonics 0..H and of the tail H+1..2H+1 in a packed vector."""
+        order = np.concatenate([np.zeros(k), *[np.repeat(np.arange(1, 2 * H + 2), k)] * 2])
+        return np.flatnonzero(order <= H), np.flatnonzero(order > H)
+
+    def error(self, u: np.ndarray, p: float) -> float:
+        """Return the estimated largest error of the waveform of the port arguments."""
+        return self._size(self.correction(u, p))
+
+    def _size(self, u: np.ndarray) -> float:
+        Y = np.abs(unpack(u, self.ports.outputs)).sum(axis=1)
+        return float(Y[0] + 2 * Y[1:].sum())
+
+    def adapt(self, u: np.ndarray, p: float) -> tuple[np.ndarray, float]:
+        """Return u at the number of harmonics its error asks for, and the error estimate at the old number.
+
+        A longer vector already carries the estimated correction, so that Newton has little left to do.
+        """
+        step = self.correction(u, p)
+        error, k, method = self._size(step), self.ports.outputs, self.method
+        if method.harmonics is not None:
+            return u, error
+        H = (len(u) // k - 1) // 2
+        goal = method.tolerance * max(float(np.linalg.norm(u)), 1e-12)
+        if error > goal and H < method.max_harmonics:
+            return resize(resize(u, k, 2 * H + 1) + step, k, min(2 * H + 1, method.max_harmonics)), error
+        if error < goal / 300 and H > 7:
+            return resize(u, k, (H - 1) // 2), error
+        return u, error
+
+    def lengthen(self, u: np.ndarray, like: np.ndarray) -> np.ndarray:
+        """Pad or truncate u to the length of another vector."""
+        k = self.ports.outputs
+        return resize(u, k, (len(like) // k - 1) // 2)
+
+    def refined(self, u: np.ndarray, p: float) -> np.ndarray | None:
+        """Return u with twice the harmonics and its estimated correction, or None at the limit."""
+        k = self.ports.outputs
+        H = (len(u) // k - 1) // 2
+        if H >= self.method.max_harmonics:
+            return None
+        return resize(resize(u, k, 2 * H + 1) + self.correction(u, p), k, 2 * H + 1)
+
+    # ---------------------------------------------------------------- orbits
+    def state_spectrum(self, u: np.ndarray, p: float) -> np.ndarray:
+        """Return the half spectrum (H+1, n) of all states, recovered exactly from the port forces."""
+        Y = unpack(u, self.ports.outputs)
+        load = self._balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[2]
+        return self.states(p, load)
+
+    def unknown(self, orbit: Orbit) -> np.ndarray:
+        """Return the unknown vector of an orbit of this System, whatever method it came from."""
+        if orbit.state_names != self.system.state_names:
+            raise ValueError(f"the orbit is of system {orbit.system!r}, the problem of {self.system.name!r}")
+        ratio, rest = divmod(self.period_multiple, orbit.period_multiple)
+        if rest:
+            raise ValueError(f"an orbit of period {orbit.period_multiple} has no period {self.period_multiple}")
+        C = self.ports.linear(self.vector(orbit.value)).C
+        Y = np.zeros((orbit.harmonic_count * ratio + 1, self.ports.outputs), dtype=complex)
+        Y[::ratio] = orbit.coefficients @ C.T
+        Y[0] = Y[0].real
+        u, k = pack(Y), self.ports.outputs
+        H = self.method.harmonics if self.method.harmonics is not None else max(7, ladder(orbit.harmonic_count * ratio))
+        return resize(u, k, H)
+
+    def orbits(self, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
+        """Return Orbits with certified multipliers for corrected points (u, p, waveform error), in one batch."""
+        from continuation.orbits.floquet import make_orbits
+
+        return make_orbits(self, points)
+
+    def monodromies(self, points: list[tuple[np.ndarray, float]]) -> np.ndarray:
+        """Return monodromy matrices (N, n, n) of points (u, p)."""
+        from continuation.orbits.monodromy import monodromy
+
+        return monodromy(self, points).matrices
+
+    def flip(self, u: np.ndarray, p: float) -> float:
+        """Return a smooth function that vanishes at a multiplier -1: the determinant of :meth:`half_operator`."""
+        self.factorisations += 1
+        sign, log = np.linalg.slogdet(self.half_operator(u, p))
+        return float(sign * np.exp(log))
+
+    def guess(self, **values: float) -> Orbit:
+        """Find a first orbit without a guess: short integration, Fourier coefficients, smoothed law, width to 0.
+
+        Parameters
+        ----------
+        **values : float
+            Parameter values, the continuation parameter among them (its default otherwise).
+
+        Raises
+        ------
+        NoConvergence
+            With what to try, when no attempt converges.
+        """
+        from continuation.orbits.start import find_orbit
+
+        return find_orbit(self, values)
+
+    def solve(self, orbit: Orbit, value: float) -> Orbit:
+        """Correct a neighbouring orbit at a given value of the continuation parameter (raises NoConvergence)."""
+        from continuation.orbits.start import correct_at
+
+        return correct_at(self, self.unknown(orbit), value)
+
+
+def ladder(harmonics: int) -> int:
+    """Return the least 2^j - 1 that is not below a number of harmonics."""
+    return (1 << harmonics.bit_length()) - 1

@@ -1,0 +1,134 @@
+"""A first orbit without a guess: short integration, Fourier coefficients, smoothed law, width to 0."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from continuation.branches.newton import Metric, Node, correct
+from continuation.errors import ContinuationError, NoConvergence
+from continuation.orbits.orbit import Orbit
+from continuation.orbits.spectrum import pack, resize
+
+_PERIODS = (30, 200, 1000)
+_WIDTHS = ((0.01,), (0.1, 0.03, 0.01, 0.003), (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.003, 0.001))
+_SAMPLES = 256
+_HARMONICS = 15
+
+
+def find_orbit(problem: Any, values: dict[str, float]) -> Orbit:
+    """Return an orbit at the given parameter values; see ``HarmonicBalanceProblem.guess``."""
+    system = problem.system
+    for name in values:
+        system.check_parameter(name)
+    fixed = {k: v for k, v in values.items() if k != problem.parameter}
+    wrong = [k for k, v in fixed.items() if v != problem.values[k]]
+    if wrong:
+        raise ValueError(
+            f"parameter {wrong[0]!r} is fixed at {problem.values[wrong[0]]} in this problem; "
+            f"give it to discretise(..., {wrong[0]}={fixed[wrong[0]]}) instead"
+        )
+    p = float(values.get(problem.parameter, problem.values[problem.parameter]))
+    problem.frequency(p)  # must be positive
+    state = np.zeros(len(system.state_names))
+    reasons: list[str] = []
+    for periods, widths in zip(_PERIODS, _WIDTHS, strict=True):
+        waves, state = _integrate(problem, p, state, periods)
+        for wave in waves:
+            try:
+                return _from_waveform(problem, wave, p, widths)
+            except NoConvergence as failure:
+                reasons.append(str(failure))
+    raise NoConvergence(
+        f"no periodic orbit of period {problem.period_multiple} found at {problem.parameter} = {p:g} "
+        f"(last attempt: {reasons[-1] if reasons else 'the integration diverged'}); "
+        "start at another parameter value, away from resonance, or with more damping",
+        parameter=p,
+    )
+
+
+def correct_at(problem: Any, u: np.ndarray, p: float) -> Orbit:
+    """Correct the unknown at fixed parameter, at the resolution it asks for, and return the Orbit."""
+    node, error = _settle(problem, u, p)
+    return problem.orbits([(node.u, node.p, error)])[0]
+
+
+def _settle(problem: Any, u: np.ndarray, p: float) -> tuple[Node, float]:
+    error = np.inf
+    for _ in range(12):
+        metric = Metric(max(float(np.linalg.norm(u)), 1e-6), max(abs(p), 1e-6))
+        node = correct(problem, (u, p), (np.zeros_like(u), 1.0), metric, iterations=40)
+        u, error = problem.adapt(node.u, node.p)
+        if len(u) <= len(node.u):
+            return node, error
+    return node, error
+
+
+def _from_waveform(problem: Any, wave: np.ndarray, p: float, widths: tuple[float, ...]) -> Orbit:
+    """Newton on smoothed laws of decreasing width, then on the exact one, from samples (N, n) of the states."""
+    k = problem.ports.outputs
+    Y = np.fft.rfft(wave, axis=0)[: _HARMONICS + 1] / len(wave) @ problem.ports.linear(problem.vector(p)).C.T
+    Y[0] = Y[0].real
+    H = problem.method.harmonics or _HARMONICS
+    u = resize(pack(Y), k, H)
+    if problem.system.contacts:
+        scale = min(float(np.ptp(c.breakpoints)) or 1.0 for c in problem.system.contacts) / 2
+        for width in widths:
+            soft = type(problem)(
+                problem.method, problem.system.smoothed(width * scale), problem.parameter, problem.period_multiple,
+                problem.values,
+            )  # fmt: skip
+            metric = Metric(max(float(np.linalg.norm(u)), 1e-6), max(abs(p), 1e-6))
+            try:
+                C = soft.ports.linear(soft.vector(p)).C
+                if not np.array_equal(C, problem.ports.linear(problem.vector(p)).C):
+                    break  # the smoothed law has other ports: go on with the exact one
+                u = correct(soft, (u, p), (np.zeros_like(u), 1.0), metric, iterations=40).u
+            except NoConvergence:
+                continue  # the next, smaller width or the exact law may still converge from here
+    return correct_at(problem, u, p)
+
+
+def _integrate(problem: Any, p: float, state: np.ndarray, periods: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Integrate with classical Runge-Kutta; return waveforms (last, averaged) sampled over one orbit, and the end."""
+    system, n = problem.system, problem.period_multiple
+    steps = _steps(problem, p)
+    vector, omega = problem.vector(p), problem.frequency(p) * n
+    x, theta = system.x, ca.SX.sym("theta")
+    f = ca.Function("f", [x, theta], [ca.substitute(system.closed(), ca.vertcat(system.theta, system.p),
+                                                    ca.vertcat(theta, ca.DM(vector))) / omega])  # fmt: skip
+    h = 2 * np.pi / steps
+    k1 = f(x, theta)
+    k2 = f(x + h / 2 * k1, theta + h / 2)
+    k3 = f(x + h / 2 * k2, theta + h / 2)
+    k4 = f(x + h * k3, theta + h)
+    step = ca.Function("step", [x, theta], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    march = step.mapaccum("march", steps * n)
+    phases = (np.arange(steps * n) * h).reshape(1, -1)
+    waves = []
+    for _ in range(max(1, periods // n)):
+        path = np.array(march(state, phases)).T
+        if not np.all(np.isfinite(path)) or np.abs(path).max() > 1e12:
+            if not waves:
+                return [], np.zeros_like(state)
+            break
+        waves = [*waves[-15:], np.vstack([state, path[:-1]])]
+        state = path[-1]
+    stride = max(1, steps * n // (_SAMPLES * n))
+    last, mean = waves[-1][::stride], np.mean(waves, axis=0)[::stride]
+    return [last, mean], state
+
+
+def _steps(problem: Any, p: float) -> int:
+    """Steps per excitation period, a power of two, that keep Runge-Kutta stable for the linear part."""
+    part = problem.ports.linear(problem.vector(p))
+    radius = np.abs(np.linalg.eigvals(part.A - part.B @ part.S @ part.C)).max(initial=0.0)
+    turns = radius * 2 * np.pi / (problem.frequency(p) * problem.period_multiple)
+    if not turns < 2e5:
+        raise ContinuationError(
+            f"the linear part turns {turns:.1e} rad per period, too stiff for the starting integration; "
+            "start from an orbit of a softer system"
+        )
+    return max(_SAMPLES, 1 << int(np.ceil(np.log2(max(turns, 1.0)))))
