@@ -75,7 +75,7 @@ def trace(
     u, p = problem.unknown(start), start.value
     metric = Metric(max(float(np.linalg.norm(u)), 1e-3), width)
     first = _start(problem, u, p, metric)
-    ends = (float(span[1]),) if abs(p - span[0]) <= 1e-12 * width else (float(span[1]), float(span[0]))
+    ends = [float(e) for e in (span[1], span[0]) if abs(p - e) > 1e-12 * width]
     sides, stops = [], []
     for end in ends:
         nodes, stop = _walk(problem, first, end, limits, metric, progress)
@@ -122,7 +122,7 @@ def _walk(
     name = problem.parameter
     try:
         while len(nodes) < limits.points:
-            new, ds, reason = _step(problem, node, ds, limits, metric)
+            new, ds, reason = _step(problem, nodes, ds, limits, metric)
             if new is None:
                 return (
                     nodes,
@@ -145,15 +145,22 @@ def _walk(
     return nodes, f"limit of {limits.points} points reached at {name} = {node.p:.6g}"
 
 
-def _step(problem: Any, node: Node, ds: float, limits: _Limits, metric: Metric) -> tuple[Node | None, float, str]:
-    """Take one accepted step; return it with the next step length, or None with the reason."""
-    largest, smallest = limits.largest / metric.span, limits.smallest / metric.span
+def _step(
+    problem: Any, nodes: list[Node], ds: float, limits: _Limits, metric: Metric
+) -> tuple[Node | None, float, str]:
+    """Take one accepted step; return it with the next step length, or None with the reason.
+
+    The step is shortened while Newton fails or the tangent turns by more than ``_TURN``; the next one aims at half of
+    that turn. The largest step grows with the amplitude, so that high peaks take no more points than low ones.
+    """
+    node = nodes[-1]
+    reach = max(1.0, float(np.linalg.norm(node.u)) / metric.size)
+    largest, smallest = reach * limits.largest / metric.span, limits.smallest / metric.span
     reason = ""
     ds = min(ds, largest)
     while ds >= smallest:
-        guess = node.u + ds * node.tu, node.p + ds * node.tp
         try:
-            new = correct(problem, guess, (node.tu, node.tp), metric, iterations=8)
+            new = correct(problem, _predict(problem, nodes, ds, metric), (node.tu, node.tp), metric, iterations=8)
         except NoConvergence as failure:
             reason, ds = str(failure), ds / 2
             continue
@@ -166,6 +173,20 @@ def _step(problem: Any, node: Node, ds: float, limits: _Limits, metric: Metric) 
         growth = min(2.0, max(0.5, 0.5 * _TURN / max(angle, 1e-6)), 2.0 ** (4 - new.iterations))
         return new, min(ds * growth, largest), ""
     return None, ds, reason
+
+
+def _predict(problem: Any, nodes: list[Node], ds: float, metric: Metric) -> tuple[np.ndarray, float]:
+    """Second-order predictor: tangent, and its change since the last point."""
+    node = nodes[-1]
+    guess = node.u + ds * node.tu, node.p + ds * node.tp
+    if len(nodes) < 2:
+        return guess
+    before, fit = nodes[-2], problem.lengthen
+    last = metric.length(node.u - fit(before.u, node.u), node.p - before.p)
+    if ds > 3 * last:
+        return guess
+    bend = ds**2 / (2 * last)
+    return guess[0] + bend * (node.tu - fit(before.tu, node.u)), guess[1] + bend * (node.tp - before.tp)
 
 
 def _resolve(problem: Any, node: Node, direction: tuple[np.ndarray, float], metric: Metric) -> Node:

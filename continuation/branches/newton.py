@@ -10,7 +10,8 @@ import scipy.linalg as sl
 
 from continuation.errors import NoConvergence
 
-_STEP = 3e-8  # a step below this (relative) is the last: convergence is quadratic
+_STEP = 1e-8  # a step below this (relative) is the last: convergence is quadratic
+_NEXT = 1e-11  # and so is one whose successor, predicted from the rate so far, would be below this
 _HALVINGS = 6
 
 
@@ -89,7 +90,7 @@ def correct(
     u, p = guess
     border = np.append(direction[0] / metric.size**2, direction[1] / metric.span**2)
     history: list[float] = []
-    best = np.inf
+    best = last = np.inf
     F, J, Fp = _linearise(problem, u, p, history)
     for count in range(1, iterations + 1):
         history.append(float(np.linalg.norm(F)))
@@ -98,12 +99,15 @@ def correct(
         size = metric.length(du, dp)
         if not np.isfinite(size):
             raise NoConvergence("Newton's step is not finite", history, p)
-        if size < _STEP * max(1.0, float(np.linalg.norm(u)) / metric.size):
+        scale = max(1.0, float(np.linalg.norm(u)) / metric.size)
+        if size < _STEP * scale or (
+            size < 1e-4 * scale and np.isfinite(last) and 10 * (size / last) ** 2 * size < _NEXT * scale
+        ):
             tu, tp = tangent[:-1], float(tangent[-1])
             norm = metric.length(tu, tp)
             return Node(u + du, p + dp, tu / norm, tp / norm, sign, count)
         u, p, F, J, Fp = _damped(problem, (u, p), (du, dp), history)
-        best = min(best, size)
+        best, last = min(best, size), size
         if count > 6 and size > 10 * best:
             break
     raise NoConvergence(f"Newton's method did not converge in {len(history)} steps", history, p)

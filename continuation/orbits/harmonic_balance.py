@@ -14,6 +14,8 @@ from continuation.orbits.port_force import PortForces
 from continuation.orbits.receptance import Receptance, receptance
 from continuation.orbits.spectrum import operator, pack, resize, unpack
 
+_REMEMBERED = 1024  # error estimates kept
+
 
 @dataclass(frozen=True, slots=True)
 class HarmonicBalance:
@@ -83,6 +85,7 @@ class HarmonicBalanceProblem:
         self._frequency = system.parameter_names.index(system.frequency)
         self._receptance: tuple[int, Receptance] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
+        self._corrections: dict[bytes, np.ndarray] = {}
         self.evaluations = self.factorisations = 0
 
     # ---------------------------------------------------------------- parameters and linear part
@@ -172,7 +175,18 @@ class HarmonicBalanceProblem:
 
     # ---------------------------------------------------------------- error and resolution
     def correction(self, u: np.ndarray, p: float) -> np.ndarray:
-        """Return the estimated error of u, a vector with twice the harmonics, to first order in what was left out."""
+        """Return the estimated error of u, a vector with twice the harmonics, to first order in what was left out.
+
+        Cost about one Newton step; remembered for the points of one branch.
+        """
+        key = u.tobytes() + np.float64(p).tobytes()
+        if key not in self._corrections:
+            if len(self._corrections) >= _REMEMBERED:
+                self._corrections.clear()
+            self._corrections[key] = self._correction(u, p)
+        return self._corrections[key]
+
+    def _correction(self, u: np.ndarray, p: float) -> np.ndarray:
         k = self.ports.outputs
         Y = unpack(u, k)
         H = len(Y) - 1
