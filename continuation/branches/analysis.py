@@ -42,12 +42,13 @@ def analyse(
                 located.append(found)
             elif found:
                 notes.append(found)
+    place = {id(n): i for i, n in enumerate(nodes)}
     nodes = [n if np.isfinite(n.error) else replace(n, error=problem.adapt(n.u, n.p)[1]) for n in nodes]
     located = _once(located, metric)
     everything = [(n.u, n.p, n.error) for n in nodes] + [(s.node.u, s.node.p, _error(problem, s.node)) for s in located]
     orbits = problem.orbits(everything)
     path, ends = orbits[: len(nodes)], orbits[len(nodes) :]
-    points = [_point(problem, s, o, nodes) for s, o in zip(located, ends, strict=True)]
+    points = [_point(problem, s, o, nodes, place[id(s.segment.a)]) for s, o in zip(located, ends, strict=True)]
     points.sort(key=lambda q: (q.index, _along(nodes, q)))
     seconds = time.perf_counter() - began
     work = {
@@ -98,8 +99,7 @@ def _once(located: list[Located], metric: Metric) -> list[Located]:
     return out
 
 
-def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node]) -> SpecialPoint:
-    index = next(i for i, n in enumerate(nodes) if n is s.segment.a)
+def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node], index: int) -> SpecialPoint:
     index += 1 if s.x > 1 and index + 2 < len(nodes) else -1 if s.x < 0 < index else 0
     a, b = nodes[index], nodes[index + 1]
     return SpecialPoint(

@@ -125,27 +125,38 @@ def _extrapolated(changes: list[float]) -> float:
 def _secant(
     segment: Segment, test: Callable[[Node], float], x: float, like: np.ndarray, slope: float | None, scale: float
 ) -> tuple[float, Node, float]:
-    """Return coordinate, node and slope of a root of the test near x, at the resolution of ``like``."""
+    """Return coordinate, node and slope of a root of the test near x, at the resolution of ``like``.
+
+    A first search (no slope known) keeps to the bracket between the ends of the segment when the test changes sign
+    there, so that neighbouring roots are not mixed up.
+    """
     reach = max(abs(segment.b.p - segment.a.p), 1e-3 * scale)
+    low = high = None
+    if slope is None:
+        ends = test(segment.a), test(segment.b)
+        if ends[0] * ends[1] < 0:
+            low, high = (0.0, ends[0]), (1.0, ends[1])
     node = segment.node(x, like)
     value = test(node)
     if slope is None:
         step = 1e-3 if x < 0.5 else -1e-3
         slope = (test(segment.node(x + step, like)) - value) / step
-    for _ in range(25):
-        if slope == 0 or not np.isfinite(slope):
+    for count in range(40):
+        if low is not None and high is not None:
+            low, high = ((x, value), high) if value * low[1] > 0 else (low, (x, value))
+        target = x - value / slope if slope else np.nan
+        if low is not None and high is not None and not low[0] <= target <= high[0]:
+            target = (low[0] + high[0]) / 2
+        elif low is None:
+            target = x + float(np.clip(target - x, -0.25, 0.25))
+        if not -_REACH <= target <= 1 + _REACH or count > 25 and low is None:
             break
-        move = float(np.clip(-value / slope, -0.25, 0.25))
-        if not -_REACH <= x + move <= 1 + _REACH:
-            break
-        new = segment.node(x + move, like)
-        moved = abs(new.p - node.p)
-        new_value = test(new)
+        new = segment.node(target, like)
+        move, moved, new_value = target - x, abs(new.p - node.p), test(new)
         if new_value != value and move != 0:
             slope = (new_value - value) / move
-        x, node, value = x + move, new, new_value
-        if abs(value / slope) * reach <= _ROOT * scale or (moved <= _ROOT * scale and abs(value / slope) < 1e-5):
-            return x, node, slope
-        if value == 0 or abs(move) < 1e-13:
+        x, node, value = target, new, new_value
+        left = abs(value / slope) if slope else np.inf
+        if left * reach <= _ROOT * scale or (moved <= _ROOT * scale and left < 1e-5) or abs(move) < 1e-14:
             return x, node, slope
     raise NoConvergence("the test function has no root nearby")
