@@ -1,0 +1,183 @@
+"""Pair files: built-in cases and users' TOML files, read into a validated :class:`Pair`."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from continuation.errors import nearest
+from sbg_casadi.derived import Derived
+from sbg_casadi.dimensionless import Dimensionless
+from sbg_casadi.entries import name_fault, shown
+from sbg_casadi.errors import PairError
+from sbg_casadi.normalise import derive, given_states, physical_states
+from sbg_casadi.rows import Row, given_rows, physical_rows
+from sbg_casadi.schema import DimensionlessFile, PhysicalFile, read_file
+
+_CASES = Path(__file__).with_name("cases")
+_LARGEST = 1_000_000  # bytes; a pair file has a few thousand
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Hold one gear pair with its states, validated as a whole.
+
+    Attributes
+    ----------
+    name : str
+        Name the file gives.
+    form : {"physical", "dimensionless"}
+        Which of the two forms the file has.
+    derived : Derived or None
+        Derived quantities in SI units; None for the dimensionless form.
+    published : dict of str to float
+        Published results in SI units to compare with, by the name they have in ``derived``; often empty.
+
+    Examples
+    --------
+    >>> pair = load_pair("iso-f2")
+    >>> pair
+    Pair('iso-f2': physical, states before, after)
+    >>> round(pair.derived.normal_force, 1)
+    14193.3
+    >>> pair.dimensionless("after").stiffness_cosine
+    (0.08125, 0.0203125)
+    >>> sorted({row.source for row in pair.rows()})
+    ['assumed', 'derived', 'standard']
+    """
+
+    name: str
+    form: Literal["physical", "dimensionless"]
+    derived: Derived | None
+    published: dict[str, float]
+    _states: tuple[Dimensionless, ...]
+    _rows: tuple[Row, ...]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states in the order of the file; ``("only",)`` for harmonics inside [dimensionless]."""
+        return tuple(state.state for state in self._states)
+
+    def dimensionless(self, state: str | None = None) -> Dimensionless:
+        """Return the numbers of the dimensionless equations in one state; None is the first state.
+
+        Raises
+        ------
+        PairError
+            If there is no such state; the message names the nearest.
+        """
+        if state is None:
+            return self._states[0]
+        for one in self._states:
+            if one.state == state:
+                return one
+        raise PairError(f"pair {self.name!r} has no state {state!r}; {nearest(state, self.states)}")
+
+    def rows(self) -> list[Row]:
+        """Return every value as (section, key, value, unit, source, note), given ones first, then derived ones."""
+        return list(self._rows)
+
+    def __repr__(self) -> str:
+        return f"Pair({self.name!r}: {self.form}, states {', '.join(self.states)})"
+
+
+def case_names() -> tuple[str, ...]:
+    """Return the names of the built-in cases, sorted.
+
+    Examples
+    --------
+    >>> case_names()
+    ('example', 'iso-f2')
+    """
+    return tuple(sorted(path.stem for path in _CASES.glob("*.toml")))
+
+
+def load_pair(name_or_path: str | os.PathLike[str]) -> Pair:
+    """Load a built-in case by its name, or a pair file by its path.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        A name of :func:`case_names`, which goes before a file of that name, or the path of a TOML file.
+
+    Raises
+    ------
+    PairError
+        With one sentence that names the key, its value and what was expected.
+    """
+    name = os.fspath(name_or_path)
+    if name in case_names():
+        place, data = f"built-in case {name!r}", (_CASES / f"{name}.toml").read_bytes()
+    else:
+        place, data = f"pair file {name!r}", _read(name)
+    return _build(_parse(data, place), place)
+
+
+def _read(name: str) -> bytes:
+    """Return the bytes of a pair file, or say why there are none."""
+    try:
+        if name and Path(name).is_dir():
+            raise PairError(f"pair file {name!r} is a folder; expected a TOML file")
+        with open(name, "rb") as stream:
+            data = stream.read(_LARGEST + 1)
+    except FileNotFoundError:
+        if name.endswith(".toml") or os.path.dirname(name):
+            raise PairError(f"pair file {name!r} does not exist; expected a TOML file or a built-in case") from None
+        known = nearest(name, case_names())
+        raise PairError(f"no built-in case and no file is called {name!r}; {known}") from None
+    except PairError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a path with a null character
+        reason = (isinstance(error, OSError) and error.strerror) or str(error)
+        place = name if len(name) <= 100 else name[:97] + "..."
+        raise PairError(f"pair file {place!r} can't be read: {reason}; expected a readable TOML file") from None
+    if len(data) > _LARGEST:
+        raise PairError(f"pair file {name!r} is larger than {_LARGEST} bytes; expected a TOML pair file")
+    return data
+
+
+def _parse(data: bytes, place: str) -> dict[str, Any]:
+    try:
+        text = data.decode("utf-8-sig")  # editors on Windows write a byte order mark
+    except UnicodeDecodeError as error:
+        raise PairError(f"{place} is not UTF-8 text (byte {error.start}); expected a TOML file in UTF-8") from None
+    if not text.strip():
+        raise PairError(f"{place} is empty; expected a pair with name and [geometry] or [dimensionless]")
+    try:
+        raw = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise PairError(f"{place} is not valid TOML: {error}") from None
+    except (ValueError, RecursionError):  # integers of thousands of digits; brackets nested thousands deep
+        raise PairError(f"{place} is not valid TOML: a number or a nesting is too long to read") from None
+    if not raw:
+        raise PairError(f"{place} holds no key; expected a pair with name and [geometry] or [dimensionless]")
+    return raw
+
+
+def _build(raw: dict[str, Any], place: str) -> Pair:
+    tables = read_file(raw, place)
+    for state in tables.states:
+        if fault := name_fault(state):
+            raise PairError(f"{place}: the state name {shown(state)} {fault}; expected a name such as before")
+    try:
+        return _assemble(tables)
+    except PairError as error:
+        raise PairError(f"{place}: {error}") from None
+
+
+def _assemble(tables: PhysicalFile | DimensionlessFile) -> Pair:
+    """Compute what follows from validated tables."""
+    name = tables.name.value
+    if isinstance(tables, DimensionlessFile):
+        states = given_states(tables)
+        return Pair(name, "dimensionless", None, {}, states, given_rows(tables, states))
+    if not tables.states:
+        raise PairError("states is empty; expected at least one table [states.NAME]")
+    derived = derive(tables)
+    states = physical_states(tables, derived)
+    entries = {key: getattr(tables.published, key) for key in type(tables.published).model_fields}
+    published = {key: entry.value for key, entry in entries.items() if entry is not None}
+    return Pair(name, "physical", derived, published, states, physical_rows(tables, derived, states))
