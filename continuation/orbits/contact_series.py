@@ -49,52 +49,112 @@ def evaluate(coefficients: np.ndarray, phases: np.ndarray, derivative: int = 0) 
 
 
 def find_pattern(argument: np.ndarray, contact: Contact) -> ContactPattern:
-    """Find every contact change of a trigonometric polynomial (half spectrum (H+1,)), short contacts included.
+    """Find every contact change of a trigonometric polynomial (half spectrum (H+1,)); see :func:`find_patterns`."""
+    return find_patterns(argument[None], contact)[0]
 
-    The argument is sampled at 8 to 16 points per shortest wave; extrema between samples that may reach a breakpoint
-    are searched by Newton's method, so that a contact shorter than a sample is not missed.
+
+def find_patterns(arguments: np.ndarray, contact: Contact) -> list[ContactPattern]:
+    """Find every contact change of several trigonometric polynomials (N, H+1), short contacts included.
+
+    Each is sampled at 8 to 16 points per shortest wave; extrema between samples that may reach a breakpoint are
+    searched by Newton's method, so that a contact shorter than a sample is not missed.
     """
-    count = 8 << (len(argument) + 1).bit_length()
-    values = np.fft.irfft(argument, count, norm="forward")
+    count = 8 << (arguments.shape[1] + 1).bit_length()
+    values = np.empty((len(arguments), count + 2))  # two samples more than a period, to look across its end
+    values[:, :count] = np.fft.irfft(arguments, count, axis=1, norm="forward")
+    values[:, count:] = values[:, :2]
     step = 2 * np.pi / count
-    grid = np.arange(count + 1) * step
-    values = np.append(values, values[0])
-    extrema = _extrema(argument, values, step, contact)
-    if extrema.size:
-        grid, values = np.concatenate([grid, extrema]), np.concatenate([values, evaluate(argument, extrema)])
-        order = np.argsort(grid, kind="stable")
-        grid, values = grid[order], values[order]
-    levels = np.array(contact.breakpoints)
-    above = values[:, None] > levels
-    i, j = np.nonzero(above[1:] != above[:-1])
-    order = np.argsort(i, kind="stable")
-    phases = np.sort(_polish(argument, grid, values, i[order], levels[j[order]])) if i.size else np.zeros(0)
-    return ContactPattern(phases, _modes(argument, phases, values[0], contact))
+    brackets = _brackets(values, contact.breakpoints, step)
+    extrema = _extrema(arguments, values, step, np.array(contact.breakpoints))
+    if extrema:
+        brackets = _with_extrema(arguments, extrema, values, np.array(contact.breakpoints), brackets, step)
+    owner, left = brackets[:2]
+    phases = _polish(arguments, *brackets) if owner.size else left
+    return _patterns(arguments, values[:, 0], owner, phases, contact)
 
 
-def _extrema(argument: np.ndarray, values: np.ndarray, step: float, contact: Contact) -> np.ndarray:
-    """Return phases of extrema between samples that lie close to a breakpoint, inside [0, 2*pi]."""
-    rise = np.diff(values)
-    turn = np.flatnonzero(rise * np.append(rise[1:], rise[0]) <= 0) + 1
-    bend = np.abs(rise[turn - 1]) + np.abs(rise[turn % len(rise)])
-    near = np.abs(values[turn, None] - np.array(contact.breakpoints)) <= bend[:, None]
-    phases = turn[near.any(axis=1)] * step
-    for _ in range(4 if phases.size else 0):
-        first, second = evaluate(argument, phases, 1), evaluate(argument, phases, 2)
+def _brackets(values: np.ndarray, levels: tuple[float, ...], step: float) -> tuple[np.ndarray, ...]:
+    """Return owner, phases and values (less the level) at both ends, and level of every sample interval with a root."""
+    wide = values.shape[1] - 2
+    found = []
+    for level in levels:
+        above = values[:, : wide + 1] > level
+        flat = np.flatnonzero(above[:, 1:] != above[:, :-1])
+        i, j = np.divmod(flat, wide)
+        found.append((i, j * step, (j + 1) * step, values[i, j] - level, values[i, j + 1] - level))
+    sizes = [len(f[0]) for f in found]
+    return *(np.concatenate(column) for column in zip(*found, strict=True)), np.repeat(np.array(levels), sizes)
+
+
+def _extrema(
+    arguments: np.ndarray, values: np.ndarray, step: float, levels: np.ndarray
+) -> list[tuple[int, int, float]]:
+    """Return (owner, sample before, phase) of extrema that may reach past a breakpoint between two samples."""
+    rise = np.diff(values, axis=1)
+    flat = np.flatnonzero(rise[:, 1:] * rise[:, :-1] <= 0)
+    i, j = np.divmod(flat, rise.shape[1] - 1)
+    j += 1
+    bend = np.abs(rise[i, j] - rise[i, j - 1])
+    near = (np.abs(values[i, j, None] - levels) <= bend[:, None]).any(axis=1)
+    i, j = i[near], j[near]
+    if not i.size:
+        return []
+    phase = j * step
+    for _ in range(4):
+        first, second = _at(arguments, i, phase, 1), _at(arguments, i, phase, 2)
         move = np.divide(-first, second, out=np.zeros_like(first), where=second != 0)
-        phases = phases + np.clip(move, -step, step)
-    return np.mod(phases, 2 * np.pi)
+        phase = phase + np.clip(move, -step, step)
+    return [(int(a), int(np.floor(b / step)), float(b)) for a, b in zip(i, phase, strict=True)]
 
 
-def _polish(argument: np.ndarray, grid: np.ndarray, values: np.ndarray, i: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Newton's method inside a shrinking bracket, all roots at once; bracket i is grid[i], grid[i+1]."""
-    low, high, left, right = grid[i], grid[i + 1], values[i] - level, values[i + 1] - level
-    k = np.arange(len(argument))
-    both = np.stack([argument, 1j * k * argument], axis=1)
-    both[1:] *= 2
+def _with_extrema(  # type: ignore[no-untyped-def]
+    arguments, extrema, values, levels, brackets, step
+) -> tuple[np.ndarray, ...]:
+    """Replace every sample interval that holds an extremum by its two parts."""
+    i, left, right, f_left, f_right, level = brackets
+    columns = [list(c) for c in (i, left, right, f_left, f_right, level)]
+    count = values.shape[1] - 2
+    cells: dict[tuple[int, int], list[float]] = {}
+    for owner, cell, phase in extrema:
+        cells.setdefault((owner, cell % count), []).append(float(np.mod(phase, 2 * np.pi)))
+    taken = {(int(a), round(b / step)) for a, b in zip(i, left, strict=True)} & set(cells)
+    keep = [n for n, (a, b) in enumerate(zip(i, left, strict=True)) if (int(a), round(b / step)) not in taken]
+    columns = [[c[n] for n in keep] for c in columns]
+    for (owner, cell), inner in cells.items():
+        inside = sorted({p for p in inner if cell * step < p < (cell + 1) * step})
+        grid = np.array([cell * step, *inside, (cell + 1) * step])
+        f = np.array([values[owner, cell], *_at(arguments, np.full(len(inside), owner), grid[1:-1], 0),
+                      values[owner, cell + 1]])  # fmt: skip
+        for b in levels:
+            for n in np.flatnonzero((f[1:] > b) != (f[:-1] > b)):
+                for c, v in zip(columns, (owner, grid[n], grid[n + 1], f[n] - b, f[n + 1] - b, b), strict=True):
+                    c.append(v)
+    return np.array(columns[0], dtype=int), *(np.array(c, dtype=float) for c in columns[1:])
+
+
+def _at(arguments: np.ndarray, owner: np.ndarray, phases: np.ndarray, derivative: int) -> np.ndarray:
+    """Evaluate the polynomial of each owner at its phase (R,)."""
+    k = np.arange(arguments.shape[1])
+    weights = np.where(k == 0, 1.0, 2.0) * (1j * k) ** derivative
+    return (np.exp(1j * np.multiply.outer(phases, k)) * arguments[owner] @ weights).real
+
+
+def _polish(
+    arguments: np.ndarray,
+    owner: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    level: np.ndarray,
+) -> np.ndarray:
+    """Newton's method inside shrinking brackets, all roots at once."""
+    k = np.arange(arguments.shape[1])
+    own = arguments[owner]
+    weights = np.stack([np.where(k == 0, 1.0, 2.0), 2j * k], axis=1)
     phase = low - left * (high - low) / (right - left)
     for _ in range(12):
-        value, slope = (np.exp(1j * np.multiply.outer(phase, k)) @ both).real.T
+        value, slope = ((np.exp(1j * np.multiply.outer(phase, k)) * own) @ weights).real.T
         value = value - level
         same = (value > 0) == (left > 0)
         low, high = np.where(same, phase, low), np.where(same, high, phase)
@@ -107,13 +167,25 @@ def _polish(argument: np.ndarray, grid: np.ndarray, values: np.ndarray, i: np.nd
     return phase
 
 
-def _modes(argument: np.ndarray, phases: np.ndarray, start: float, contact: Contact) -> np.ndarray:
-    if not phases.size:
-        return np.array([contact.mode(start)])
-    edges = np.concatenate([[phases[-1] - 2 * np.pi], phases])
-    middle = evaluate(argument, (edges[1:] + edges[:-1]) / 2)
-    modes = contact.mode(middle)
-    return np.append(modes, modes[0])
+def _patterns(
+    arguments: np.ndarray, start: np.ndarray, owner: np.ndarray, phases: np.ndarray, contact: Contact
+) -> list[ContactPattern]:
+    order = np.lexsort((phases, owner))
+    owner, phases = owner[order], phases[order]
+    counts = np.bincount(owner, minlength=len(arguments))
+    ends = np.cumsum(counts)
+    out: list[ContactPattern] = []
+    before = np.roll(phases, 1)
+    filled = counts > 0
+    before[ends[filled] - counts[filled]] = phases[ends[filled] - 1] - 2 * np.pi
+    modes = contact.mode(_at(arguments, owner, (phases + before) / 2, 0)) if phases.size else np.zeros(0, dtype=int)
+    for i, (count, end) in enumerate(zip(counts, ends, strict=True)):
+        if count:
+            own = modes[end - count : end]
+            out.append(ContactPattern(phases[end - count : end], np.append(own, own[0])))
+        else:
+            out.append(ContactPattern(np.zeros(0), np.array([contact.mode(start[i])])))
+    return out
 
 
 def piecewise_spectrum(pattern: ContactPattern, values: np.ndarray, last: int) -> np.ndarray:

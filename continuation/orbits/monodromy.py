@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from continuation.errors import ContinuationError
+from continuation.model.ports import LinearPart
 from continuation.orbits import contact_series as series
 from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
 from continuation.orbits.spectrum import unpack
@@ -79,75 +80,123 @@ class _Flow:
         return sl.expm(t[..., None, None] * self.matrix)
 
 
-@dataclass(frozen=True, slots=True)
-class _Slopes:
-    """Port slope along one orbit, as a function of phase inside contact modes."""
+class _Waves:
+    """Port slopes along several orbits at once; ``owner`` tells which orbit a piece belongs to."""
 
-    problem: HarmonicBalanceProblem
-    Y: np.ndarray
-    vector: np.ndarray
-    patterns: tuple[series.ContactPattern, ...]
+    def __init__(self, problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, float]]) -> None:
+        self.problem, self.vectors = problem, [problem.vector(p) for _, p in orbits]
+        ports = problem.ports
+        spectra = [unpack(u, ports.outputs) for u, _ in orbits]
+        self.Y = _stack(spectra) if ports.smooth else np.zeros((len(orbits), 1, ports.outputs))
+        self.patterns, self.gains, self.d = [], [], []
+        for i, contact in enumerate(problem.system.contacts):
+            arguments = [problem.forces.argument(i, Y, v) for Y, v in zip(spectra, self.vectors, strict=True)]
+            self.patterns.append(_padded(series.find_patterns(_stack(arguments), contact)))
+            self.gains.append(_stack([ports.forcing(v).gain[i].T for v in self.vectors]))
+            self.d.append(np.array([ports.linear(v).d[i] for v in self.vectors]))
 
-    @classmethod
-    def of(cls, problem: HarmonicBalanceProblem, u: np.ndarray, p: float) -> _Slopes:
-        Y, vector = unpack(u, problem.ports.outputs), problem.vector(p)
-        patterns = tuple(
-            series.find_pattern(problem.forces.argument(i, Y, vector), c) for i, c in enumerate(problem.system.contacts)
-        )
-        return cls(problem, Y, vector, patterns)
+    def pieces(self, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Starts, lengths and owners of pieces that end at contact changes and are at most ``longest`` (N,) long."""
+        starts, lengths, owners = [], [], []
+        for i, limit in enumerate(longest):
+            edges = np.unique(np.concatenate([[0.0, 2 * np.pi], *(phases[i] for phases, _ in self.patterns)]))
+            edges = edges[np.isfinite(edges)]
+            gaps = np.diff(edges)
+            counts = np.maximum(np.ceil(gaps / limit).astype(int), 1)
+            size = np.repeat(gaps / counts, counts)
+            first = np.repeat(np.cumsum(counts) - counts, counts)
+            starts.append(np.repeat(edges[:-1], counts) + (np.arange(counts.sum()) - first) * size)
+            lengths.append(size)
+            owners.append(np.full(len(size), i))
+        return np.concatenate(starts), np.concatenate(lengths), np.concatenate(owners)
 
-    def edges(self, longest: float) -> np.ndarray:
-        """Phases 0 .. 2*pi with every contact change and no piece longer than ``longest``."""
-        changes = np.concatenate([p.phases for p in self.patterns]) if self.patterns else np.zeros(0)
-        edges = np.unique(np.concatenate([[0.0], changes, [2 * np.pi]]))
-        counts = np.maximum(np.ceil(np.diff(edges) / longest).astype(int), 1)
-        parts = [np.linspace(a, b, c, endpoint=False) for a, b, c in zip(edges, edges[1:], counts, strict=False)]
-        return np.concatenate([*parts, [2 * np.pi]])
-
-    def at(self, phases: np.ndarray) -> np.ndarray:
+    def at(self, phases: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Port slope w' (P, q, m, k) at phases (P, q); each row of phases lies inside one contact mode."""
         problem = self.problem
-        ports, flat = problem.ports, phases.ravel()
+        ports, n = problem.ports, problem.period_multiple
         slope = np.zeros((*phases.shape, ports.inputs, ports.outputs))
-        linear, forcing = ports.linear(self.vector), ports.forcing(self.vector)
-        for i, (contact, pattern) in enumerate(zip(problem.system.contacts, self.patterns, strict=True)):
-            mode = pattern.modes[np.searchsorted(pattern.phases, phases.mean(axis=1))]
-            theta = np.mod(flat * problem.period_multiple, 2 * np.pi)
-            gain = series.evaluate(forcing.gain[i].T, theta).reshape(*phases.shape, -1)
+        middle = phases.mean(axis=1)
+        for contact, patterns, gains, d in zip(problem.system.contacts, self.patterns, self.gains, self.d, strict=True):
+            changes, modes = patterns
+            mode = modes[owner, np.sum(changes[owner] < middle[:, None], axis=1)]
+            gain = _series(gains, owner, phases * n)
             rigid = np.array(contact.slopes)[mode][:, None, None]
-            slope += (rigid * gain)[..., None] * linear.d[i]
+            slope += (rigid * gain)[..., None] * d[owner][:, None, None, :]
         if ports.smooth:
-            y = series.evaluate(self.Y, flat).T
-            tangent = ports.law(y, flat * problem.period_multiple, self.vector)[1]
+            y = _series(self.Y, owner, phases).reshape(-1, ports.outputs).T
+            theta = (phases * n).ravel()
+            if all(np.array_equal(v, self.vectors[0]) for v in self.vectors):
+                vectors: np.ndarray = self.vectors[0]
+            else:
+                vectors = np.repeat(np.array(self.vectors)[owner], phases.shape[1], axis=0).T
+            tangent = ports.law(y, theta, vectors)[1]
             slope += tangent.transpose(2, 0, 1).reshape(slope.shape)
         return slope
 
 
-def _resolve(slopes: _Slopes, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Halve pieces until the slope is resolved; return starts (P,), lengths (P,), slopes at nodes (P, q, m, k)."""
+def _stack(arrays: list[np.ndarray]) -> np.ndarray:
+    """Stack arrays whose first axes differ in length, padded with zeros."""
+    longest = max(len(a) for a in arrays)
+    out = np.zeros((len(arrays), longest, *arrays[0].shape[1:]), dtype=complex)
+    for row, a in zip(out, arrays, strict=True):
+        row[: len(a)] = a
+    return out
+
+
+def _padded(patterns: list[series.ContactPattern]) -> tuple[np.ndarray, np.ndarray]:
+    """Return phases (N, r) and modes (N, r + 1) of patterns as tables, with changes at infinity as filling."""
+    longest = max(len(p.phases) for p in patterns)
+    phases = np.full((len(patterns), longest), np.inf)
+    modes = np.zeros((len(patterns), longest + 1), dtype=int)
+    for i, p in enumerate(patterns):
+        phases[i, : len(p.phases)], modes[i, : len(p.modes)] = p.phases, p.modes
+    return phases, modes
+
+
+def _series(spectra: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Evaluate half spectra (N, K+1, c) of the owners at phases (P, q); returns (P, q, c)."""
+    k = np.arange(spectra.shape[1])
+    scaled = spectra * np.where(k == 0, 1.0, 2.0)[:, None]
+    first = np.exp(1j * phases)
+    if len(k) <= 8:  # few harmonics: powers by multiplication
+        out = np.zeros((*phases.shape, spectra.shape[2]))
+        power = np.ones_like(first)
+        for order in k:
+            out += (power[..., None] * scaled[owner, order][:, None, :]).real
+            power = power * first
+        return out
+    out = np.empty((*phases.shape, spectra.shape[2]))
+    for start in range(0, len(owner), 512):  # bounds the memory of the exponentials
+        rows = slice(start, start + 512)
+        waves = np.exp(1j * phases[rows, :, None] * k)
+        out[rows] = (waves @ scaled[owner[rows]]).real
+    return out
+
+
+def _resolve(waves: _Waves, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Halve pieces until the slope is resolved; return lengths (P,), slopes at nodes (P, q, m, k), owners (P,)."""
     x, _, _, transform = _collocation(_NODES)
-    start, length = edges[:-1], np.diff(edges)
-    start, length = start[length > 0], length[length > 0]
-    done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    scale = 0.0
-    for _ in range(_DEPTH):
-        values = slopes.at(start[:, None] + length[:, None] * x)
-        size = np.abs(np.einsum("lq,pqmk->plmk", transform, values)).max(axis=(2, 3), initial=0.0)
-        scale = max(scale, float(size.max(initial=0.0)))
-        rough = size[:, -2:].max(axis=1) > _RESOLVED * scale
-        done.append((start[~rough], length[~rough], values[~rough]))
+    start, length, owner = waves.pieces(longest)
+    keep = length > 0
+    start, length, owner = start[keep], length[keep], owner[keep]
+    done = []
+    scale = np.zeros(len(longest))
+    for depth in range(_DEPTH):
+        values = waves.at(start[:, None] + length[:, None] * x, owner)
+        size = np.abs(np.tensordot(values, transform, axes=(1, 1))).max(axis=(1, 2), initial=0.0)
+        np.maximum.at(scale, owner, size.max(axis=1, initial=0.0))
+        rough = size[:, -2:].max(axis=1) > _RESOLVED * scale[owner]
+        if depth == _DEPTH - 1 or 2 * np.sum(rough) > _MOST_PIECES:
+            rough[:] = False
+        done.append((start[~rough], length[~rough], values[~rough], owner[~rough]))
         if not rough.any():
             break
         half = length[rough] / 2
         start = np.concatenate([start[rough], start[rough] + half])
-        length = np.concatenate([half, half])
-        if len(start) > _MOST_PIECES:
-            break
-    else:
-        done.append((start, length, slopes.at(start[:, None] + length[:, None] * x)))
-    starts, lengths, values = (np.concatenate([d[i] for d in done]) for i in range(3))
-    order = np.argsort(starts)
-    return starts[order], lengths[order], values[order]
+        length, owner = np.concatenate([half, half]), np.concatenate([owner[rough], owner[rough]])
+    starts, lengths, values, owners = (np.concatenate([d[i] for d in done]) for i in range(4))
+    order = np.lexsort((starts, owners))
+    return lengths[order], values[order], owners[order]
 
 
 def _pieces(flow: _Flow, h: np.ndarray, Q: np.ndarray) -> np.ndarray:
@@ -193,37 +242,34 @@ def monodromy(problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, fl
         flow = _Flow(part.A - part.B @ part.S @ part.C, part.B, part.C)
         for start in range(0, len(members), 64):
             chunk = members[start : start + 64]
-            matrices[chunk], defects[chunk] = _chunk(problem, flow, part.S, part.A, [orbits[i] for i in chunk])
+            matrices[chunk], defects[chunk] = _chunk(problem, flow, part, [orbits[i] for i in chunk])
     return Monodromy(matrices, defects)
 
 
-def _chunk(problem, flow, S, A, orbits):  # type: ignore[no-untyped-def]
-    durations, slopes, counts, traces = [], [], [], []
-    part = problem.ports.linear(problem.vector(orbits[0][1]))
-    w = _collocation(_NODES)[1]
-    for u, p in orbits:
-        omega = problem.frequency(p)
-        longest = _PHASE * omega / max(flow.radius, 1e-300)
-        if 2 * np.pi / longest > _MOST_PIECES:
-            raise ContinuationError(
-                f"monodromy matrix: the fastest mode ({flow.radius:.2e} rad per unit time) turns too often in one period; "
-                "leave out or soften the stiffest linear coordinates"
-            )
-        along = _Slopes.of(problem, u, p)
-        _, length, values = _resolve(along, along.edges(longest))
-        durations.append(length / omega)
-        slopes.append(values)
-        counts.append(len(length))
-        power = np.einsum("p,q,pqmk,km->", length / omega, w, values, part.C @ part.B)
-        traces.append(np.trace(A) * 2 * np.pi / omega + power)
-    pieces = _pieces(flow, np.concatenate(durations), np.concatenate(slopes) + S)
+def _chunk(
+    problem: HarmonicBalanceProblem, flow: _Flow, part: LinearPart, orbits: list[tuple[np.ndarray, float]]
+) -> tuple[np.ndarray, np.ndarray]:
+    omega = np.array([problem.frequency(p) for _, p in orbits])
+    longest = _PHASE * omega / max(flow.radius, 1e-300)
+    if 2 * np.pi / longest.min() > _MOST_PIECES:
+        raise ContinuationError(
+            f"monodromy matrix: the fastest mode ({flow.radius:.2e} rad per unit time) turns too often in one period; "
+            "leave out or soften the stiffest linear coordinates"
+        )
+    length, values, owner = _resolve(_Waves(problem, orbits), longest)
+    duration = length / omega[owner]
+    weights = _collocation(_NODES)[1]
+    power = duration * np.einsum("q,pqmk,km->p", weights, values, part.C @ part.B)
+    traces = np.trace(part.A) * 2 * np.pi / omega + np.bincount(owner, power, minlength=len(orbits))
+    pieces = _pieces(flow, duration, values + part.S)
+    counts = np.bincount(owner, minlength=len(orbits))
     offsets = np.concatenate([[0], np.cumsum(counts)])
-    product = np.broadcast_to(np.eye(len(A), dtype=complex), (len(orbits), *A.shape)).copy()
-    for j in range(max(counts)):
-        active = np.flatnonzero(np.array(counts) > j)
+    product = np.broadcast_to(np.eye(len(part.A), dtype=complex), (len(orbits), *part.A.shape)).copy()
+    for j in range(int(counts.max())):
+        active = np.flatnonzero(counts > j)
         product[active] = pieces[offsets[active] + j] @ product[active]
     matrices = (flow.basis @ product @ flow.inverse).real
-    return matrices, np.linalg.slogdet(matrices)[1] - np.array(traces)
+    return matrices, np.linalg.slogdet(matrices)[1] - traces
 
 
 def multipliers(matrices: np.ndarray) -> np.ndarray:
