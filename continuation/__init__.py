@@ -2,22 +2,37 @@
 
 from continuation.branches.arclength import trace
 from continuation.branches.branch import Branch, SpecialPoint
+from continuation.branches.switching import switch
+from continuation.branches.tracking import Curve, track
 from continuation.errors import ContinuationError, NoConvergence, SingularLinearPart, UnsupportedModel
 from continuation.model.contact import Contact
 from continuation.model.system import System
 from continuation.orbits.harmonic_balance import HarmonicBalance
 from continuation.orbits.orbit import Orbit
+from continuation.orbits.shooting import Shooting
+from continuation.timedomain.cvodes import CVODES
+from continuation.timedomain.parallel import up_and_down
+from continuation.timedomain.sweep import sweep
+from continuation.timedomain.sweep_result import Sweep
 
 __all__ = [
+    "CVODES",
     "Branch",
     "Contact",
     "ContinuationError",
+    "Curve",
     "HarmonicBalance",
     "NoConvergence",
     "Orbit",
+    "Shooting",
     "SingularLinearPart",
     "SpecialPoint",
+    "Sweep",
     "System",
     "UnsupportedModel",
+    "sweep",
+    "switch",
     "trace",
+    "track",
+    "up_and_down",
 ]

@@ -6,9 +6,10 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
+from itertools import pairwise
 from typing import Any
 
-import casadi
 import numpy as np
 
 from continuation.branches.branch import Branch, SpecialPoint
@@ -18,6 +19,7 @@ from continuation.branches.newton import Metric, Node
 from continuation.branches.screening import Suspect, screen
 from continuation.orbits.orbit import Orbit
 
+_VERTICAL = 1e-7  # parameter component of a tangent that counts as none
 _WEIGHT = {"fold": 1, "branch-point": 1, "period-doubling": 1, "neimark-sacker": 2, "grazing": 0}
 
 
@@ -36,6 +38,7 @@ def analyse(
     located: list[Located] = []
     if len(nodes) > 1:
         nodes, suspects, notes = screen(problem, nodes, metric)
+        notes += _vertical(problem, nodes)
         for suspect in _with_turns(problem, nodes, metric, suspects):
             found = locate(suspect)
             if isinstance(found, Located):
@@ -60,7 +63,7 @@ def analyse(
     provenance = {
         "method": repr(problem.method),
         "system": repr(problem.system),
-        "casadi": casadi.__version__,
+        "casadi": version("casadi"),
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
@@ -75,11 +78,26 @@ def _error(problem: Any, node: Node) -> float:
 def _with_turns(problem: Any, nodes: list[Node], metric: Metric, suspects: list[Suspect]) -> list[Suspect]:
     """Add the intervals in which the branch turns although no multiplier was seen to cross 1 there."""
     seen = {(id(s.segment.a)) for s in suspects if s.test == 0}
-    out = list(suspects)
-    for a, b in zip(nodes, nodes[1:], strict=False):
-        if a.tp * b.tp < 0 and id(a) not in seen:
+    out = [s for s in suspects if s.test != 0 or not _neutral(s.segment.a, s.segment.b)]
+    for a, b in pairwise(nodes):
+        if a.tp * b.tp < 0 and id(a) not in seen and not _neutral(a, b):
             out.append(Suspect(0, Segment(problem, metric, a, b), a.tp / (a.tp - b.tp)))
     return out
+
+
+def _neutral(a: Node, b: Node) -> bool:
+    """Whether the branch is vertical at one of two neighbours and does not leave that parameter between them."""
+    return min(abs(a.tp), abs(b.tp)) < _VERTICAL * max(abs(a.p), 1e-3) and abs(a.p - b.p) < 1e-9 * max(abs(a.p), 1e-3)
+
+
+def _vertical(problem: Any, nodes: list[Node]) -> list[str]:
+    """Return a note for every parameter at which the branch is a vertical line of neutral orbits."""
+    places = {f"{a.p:.9g}" for a, b in pairwise(nodes) if _neutral(a, b)}
+    return [
+        f"{problem.parameter} = {p}: a family of neutral orbits at one parameter value (the model is linear along it); "
+        "folds are not looked for there"
+        for p in sorted(places)
+    ]
 
 
 def _once(located: list[Located], metric: Metric) -> list[Located]:
@@ -132,13 +150,13 @@ def _unexplained(path: list[Orbit], points: list[SpecialPoint]) -> list[str]:
     """Return a note for every change of the number of unstable multipliers that the located points do not explain."""
     notes = []
     counts = [(i, c) for i, o in enumerate(path) if (c := _unstable(o)) is not None]
-    for (i, before), (j, after) in zip(counts, counts[1:], strict=False):
+    for (i, before), (j, after) in pairwise(counts):
         between = [_WEIGHT[q.kind] for q in points if i <= q.index < j]
         change, most = abs(after - before), sum(between)
         if change > most or (most - change) % 2:
             a, b = sorted((path[i].value, path[j].value))
             notes.append(
-                f"{path[0].parameter} in [{a:.10g}, {b:.10g}]: the number of unstable multipliers changes from {before} "
-                f"to {after}, which the located points do not explain"
+                f"{path[0].parameter} in [{a:.10g}, {b:.10g}]: the number of unstable multipliers changes from "
+                f"{before} to {after}, which the located points do not explain"
             )
     return notes

@@ -9,17 +9,21 @@ from typing import Any
 
 import numpy as np
 
+from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
 from continuation.branches.newton import Metric, Node, correct
 from continuation.errors import NoConvergence
 from continuation.orbits.orbit import Orbit
 
 Progress = Callable[[float, str], None]
+Ended = Callable[[Node, Node], str | None]
 _TURN = 0.35  # rad between tangents of neighbouring points that makes a step be taken again, halved
 
 
 @dataclass(frozen=True, slots=True)
-class _Limits:
+class Limits:
+    """Parameter range, first, largest and smallest step in units of the parameter, and the most points."""
+
     span: tuple[float, float]
     first: float
     largest: float
@@ -69,16 +73,34 @@ def trace(
         If not even the start can be corrected.
     """
     began = time.perf_counter()
-    low, high = _check_span(span, start.value)
+    low, high = check_span(span, start.value)
     width = high - low
-    limits = _Limits((low, high), step or width / 200, max_step or width / 40, width * 1e-7, max_points)
+    limits = Limits((low, high), step or width / 200, max_step or width / 40, width * 1e-7, max_points)
     u, p = problem.unknown(start), start.value
     metric = Metric(max(float(np.linalg.norm(u)), 1e-3), width)
-    first = _start(problem, u, p, metric)
-    ends = [float(e) for e in (span[1], span[0]) if abs(p - e) > 1e-12 * width]
+    first = start_node(problem, u, p, metric)
+    nodes, stop = walk(problem, first, span, limits, metric, progress)
+    return analyse(problem, nodes, metric, stop, began, progress)
+
+
+def walk(
+    problem: Any,
+    first: Node,
+    span: tuple[float, float],
+    limits: Limits,
+    metric: Metric,
+    progress: Progress | None = None,
+    ended: Ended | None = None,
+) -> tuple[list[Node], str]:
+    """Return the nodes from ``first`` towards ``span[1]``, or both ways when it lies inside, and why they end.
+
+    ``ended(before, new)`` may end the walk by returning the reason; the new node is then left out.
+    """
+    width = limits.span[1] - limits.span[0]
+    ends = [float(e) for e in (span[1], span[0]) if abs(first.p - e) > 1e-12 * width]
     sides, stops = [], []
     for end in ends:
-        nodes, stop = _walk(problem, first, end, limits, metric, progress)
+        nodes, stop = _walk(problem, first, end, limits, metric, progress, ended)
         sides.append(nodes)
         stops.append(stop)
         if stop.startswith(("interrupted", "closed")):
@@ -86,12 +108,10 @@ def trace(
     nodes = sides[0]
     if len(sides) == 2:
         nodes = [replace(n, tu=-n.tu, tp=-n.tp, sign=-n.sign) for n in reversed(sides[1][1:])] + nodes
-    from continuation.branches.analysis import analyse
-
-    return analyse(problem, nodes, metric, "; ".join(dict.fromkeys(stops)), began, progress)
+    return nodes, "; ".join(dict.fromkeys(stops))
 
 
-def _check_span(span: tuple[float, float], value: float) -> tuple[float, float]:
+def check_span(span: tuple[float, float], value: float) -> tuple[float, float]:
     low, high = sorted(float(v) for v in span)
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise ValueError(f"span: expected two different finite numbers, got {span}")
@@ -101,7 +121,7 @@ def _check_span(span: tuple[float, float], value: float) -> tuple[float, float]:
     return low, high
 
 
-def _start(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
+def start_node(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
     """Correct the start at fixed parameter, at the resolution it asks for."""
     fixed = 1.0
     node = correct(problem, (u, p), (np.zeros_like(u), fixed), metric, iterations=30)
@@ -114,7 +134,13 @@ def _start(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
 
 
 def _walk(
-    problem: Any, first: Node, end: float, limits: _Limits, metric: Metric, progress: Progress | None
+    problem: Any,
+    first: Node,
+    end: float,
+    limits: Limits,
+    metric: Metric,
+    progress: Progress | None,
+    ended: Ended | None,
 ) -> tuple[list[Node], str]:
     forward = np.sign(end - first.p) or 1.0
     node = first if first.tp * forward >= 0 else replace(first, tu=-first.tu, tp=-first.tp, sign=-first.sign)
@@ -133,6 +159,8 @@ def _walk(
                 if landed is not None:
                     nodes.append(landed)
                 return nodes, f"reached {name} = {nodes[-1].p:.6g}"
+            if ended is not None and (why := ended(node, new)):
+                return nodes, why
             nodes.append(new)
             node = new
             if _closed(nodes, metric, problem):
@@ -145,9 +173,7 @@ def _walk(
     return nodes, f"limit of {limits.points} points reached at {name} = {node.p:.6g}"
 
 
-def _step(
-    problem: Any, nodes: list[Node], ds: float, limits: _Limits, metric: Metric
-) -> tuple[Node | None, float, str]:
+def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Metric) -> tuple[Node | None, float, str]:
     """Take one accepted step; return it with the next step length, or None with the reason.
 
     The step is shortened while Newton fails or the tangent turns by more than ``_TURN``; the next one aims at half of
@@ -208,7 +234,7 @@ def _resolve(problem: Any, node: Node, direction: tuple[np.ndarray, float], metr
     return replace(node, error=error)
 
 
-def _land(problem: Any, node: Node, beyond: Node, limits: _Limits, metric: Metric) -> Node | None:
+def _land(problem: Any, node: Node, beyond: Node, limits: Limits, metric: Metric) -> Node | None:
     """Return the point exactly at the end of the span, between two nodes."""
     end = limits.span[0] if beyond.p < limits.span[0] else limits.span[1]
     if abs(node.p - end) < 1e-12 * metric.span:

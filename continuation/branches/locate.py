@@ -149,7 +149,7 @@ def _secant(
             target = (low[0] + high[0]) / 2
         elif low is None:
             target = x + float(np.clip(target - x, -0.25, 0.25))
-        if not -_REACH <= target <= 1 + _REACH or count > 25 and low is None:
+        if not -_REACH <= target <= 1 + _REACH or (count > 25 and low is None):
             break
         new = segment.node(target, like)
         move, moved, new_value = target - x, abs(new.p - node.p), test(new)

@@ -10,6 +10,7 @@ wherever interpolation alone saw a sign change or a near-contact, and everything
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,7 @@ def screen(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Node],
     """Return the nodes with inserted ones, the isolated sign changes in order, and notes on what stayed unresolved."""
     notes: list[str] = []
     at_nodes = tests(problem.monodromies([(n.u, n.p) for n in nodes]))
-    pending = [Segment(problem, metric, a, b) for a, b in zip(nodes, nodes[1:], strict=False)]
+    pending = [Segment(problem, metric, a, b) for a, b in pairwise(nodes)]
     known = {id(n): v for n, v in zip(nodes, at_nodes, strict=True)}
     extra: dict[int, list[Node]] = {}
     suspects: list[Suspect] = []
@@ -135,7 +136,7 @@ def _cuts(s: _Samples) -> list[float]:
     for test in range(3):
         f = s.value[:, test]
         changes = np.flatnonzero((f[1:] > 0) != (f[:-1] > 0))
-        for a, b in zip(changes, changes[1:], strict=False):
+        for a, b in pairwise(changes):
             inside = np.arange(a + 1, b + 1)
             cuts.add(float(s.x[inside[np.argmax(np.abs(f[inside]))]]))
         if not changes.size:
@@ -155,7 +156,7 @@ def _split(segment: Segment, cuts: list[float], known: dict[int, np.ndarray], pr
     for node, value in zip(inserted, tests(problem.monodromies([(n.u, n.p) for n in inserted])), strict=True):
         known[id(node)] = value
     chain = [segment.a, *inserted, segment.b]
-    return [Segment(problem, segment.metric, a, b) for a, b in zip(chain, chain[1:], strict=False)]
+    return [Segment(problem, segment.metric, a, b) for a, b in pairwise(chain)]
 
 
 def _tiny(segment: Segment) -> bool:

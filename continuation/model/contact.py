@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, pairwise
 from typing import Any
 
 import casadi as ca
@@ -59,7 +59,7 @@ class Contact:
             raise ValueError(
                 f"contact {self.name!r}: expected {len(b) + 1} slopes for {len(b)} breakpoints, got {len(s)}"
             )
-        if not b or not np.all(np.isfinite(b + s)) or any(u >= v for u, v in zip(b, b[1:], strict=False)):
+        if not b or not np.all(np.isfinite(b + s)) or any(u >= v for u, v in pairwise(b)):
             raise ValueError(f"contact {self.name!r}: breakpoints must be finite and strictly increasing, got {b}")
         object.__setattr__(self, "breakpoints", b)
         object.__setattr__(self, "slopes", s)

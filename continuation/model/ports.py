@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -62,8 +63,9 @@ class Ports:
     --------
     >>> import casadi as ca
     >>> x, v, theta, omega = (ca.SX.sym(n) for n in ("x", "v", "theta", "omega"))
-    >>> s = System(name="duffing", states={"x": x, "v": v}, derivatives={"x": v, "v": -x - x**3 - 0.1*v + ca.cos(theta)},
-    ...            phase=theta, frequency="omega", parameters={"omega": (omega, 1.0)})
+    >>> s = System(name="duffing", states={"x": x, "v": v},
+    ...            derivatives={"x": v, "v": -x - x**3 - 0.1*v + ca.cos(theta)}, phase=theta, frequency="omega",
+    ...            parameters={"omega": (omega, 1.0)})
     >>> ports = Ports(s)
     >>> ports.inputs, ports.outputs
     (1, 1)
@@ -89,8 +91,8 @@ class Ports:
         for i, contact in enumerate(s.contacts):
             if ca.depends_on(self._gains[:, i], ca.vertcat(s.x, s.phi)):
                 raise UnsupportedModel(
-                    f"contact {contact.name!r} of system {s.name!r}: its force must enter linearly, with a gain of phase "
-                    "and parameters only; use system.smoothed(width) or Shooting instead"
+                    f"contact {contact.name!r} of system {s.name!r}: its force must enter linearly, with a gain of "
+                    "phase and parameters only; use system.smoothed(width) or Shooting instead"
                 )
             if ca.depends_on(self._slopes[i, :], ca.vertcat(s.x, s.theta)):
                 raise UnsupportedModel(
@@ -100,12 +102,13 @@ class Ports:
 
     def _split(self) -> tuple[ca.SX, ca.SX]:
         """Split df/dx into entries that depend on parameters only and entries that vary along an orbit."""
-        jacobian = ca.sparsify(self._jacobian)
+        jacobian: Any = ca.sparsify(self._jacobian)
         if jacobian.nnz() == 0:
             return jacobian, jacobian
-        entries = ca.vertcat(*jacobian.nonzeros())
+        nonzeros: list[Any] = jacobian.nonzeros()
+        entries = ca.vertcat(*nonzeros)
         varies = ca.which_depends(entries, ca.vertcat(self.system.x, self.system.theta), 1, True)
-        parts = [ca.vertcat(*(e if v == keep else ca.SX(0) for e, v in zip(jacobian.nonzeros(), varies, strict=True)))
+        parts = [ca.vertcat(*(e if v == keep else ca.SX(0) for e, v in zip(nonzeros, varies, strict=True)))
                  for keep in (False, True)]  # fmt: skip
         constant, varying = (ca.SX(jacobian.sparsity(), part) for part in parts)
         return constant, varying
@@ -186,6 +189,18 @@ class Ports:
         force, slope = self._law(y, theta.reshape(1, -1), p)
         count, m, k = theta.size, self.inputs, self.outputs
         return np.array(force).reshape(m, count), np.array(slope).reshape(m, count, k).transpose(0, 2, 1)
+
+    def second(self, y: np.ndarray, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Evaluate the second derivative (m, k, k, N) of the smooth port force at y (k, N), theta (N,)."""
+        m, k = self.inputs, self.outputs
+        bend = np.array(self._second(y, theta.reshape(1, -1), p)).reshape(k, k, m, theta.size)
+        return bend.transpose(2, 1, 0, 3)  # CasADi's vec runs down columns: (m, k) fastest, then the second y
+
+    @cached_property
+    def _second(self) -> ca.Function:
+        y, theta, p = self._law.sx_in()
+        slope = self._law(y, theta, p)[1]
+        return ca.Function("second", [y, theta, p], [ca.densify(ca.vec(ca.jacobian(ca.vec(slope), y)))])
 
     def linear(self, p: np.ndarray) -> LinearPart:
         """Return the linear part at p (cached while only the frequency changes and nothing else depends on it)."""

@@ -228,7 +228,7 @@ class HarmonicBalanceProblem:
             return u, error
         H = (len(u) // k - 1) // 2
         goal = method.tolerance * max(float(np.linalg.norm(u)), 1e-12)
-        if error > goal and H < method.max_harmonics:
+        if error > goal and method.max_harmonics > H:
             return resize(resize(u, k, 2 * H + 1) + step, k, min(2 * H + 1, method.max_harmonics)), error
         if error < goal / 300 and H > 7:
             return resize(u, k, (H - 1) // 2), error
@@ -243,7 +243,7 @@ class HarmonicBalanceProblem:
         """Return u with twice the harmonics and its estimated correction, or None at the limit."""
         k = self.ports.outputs
         H = (len(u) // k - 1) // 2
-        if H >= self.method.max_harmonics:
+        if self.method.max_harmonics <= H:
             return None
         return resize(resize(u, k, 2 * H + 1) + self.correction(u, p), k, 2 * H + 1)
 

@@ -83,7 +83,7 @@ class PortForces:
             count *= 2
         if tail > 1e-8 * top:
             raise UnsupportedModel(
-                f"system {self.ports.system.name!r}: the right-hand side is not smooth enough for {_FINEST} samples per period "
+                f"system {self.ports.system.name!r}: the right-hand side is not smooth at {_FINEST} samples per period "
                 f"(spectrum tail {tail / top:.1e}); declare corners as a Contact, or use a larger smoothing width"
             )
         self._samples = count

@@ -45,7 +45,9 @@ def _indices(rows: int, columns: int, half: bool) -> tuple[np.ndarray, np.ndarra
     return k - l, k + l + int(half)
 
 
-def operator(transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, columns: int, half: bool = False) -> np.ndarray:
+def operator(
+    transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, columns: int, half: bool = False
+) -> np.ndarray:
     """Return the real matrix of ``Y -> Y_k - transfer_k (sum_l slope_(k-l) Y_l + shift_k Y_k)``.
 
     Parameters

@@ -107,7 +107,7 @@ def _integrate(problem: Any, p: float, state: np.ndarray, periods: int) -> tuple
     step = ca.Function("step", [x, theta], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
     march = step.mapaccum("march", steps * n)
     phases = (np.arange(steps * n) * h).reshape(1, -1)
-    waves = []
+    waves: list[np.ndarray] = []
     for _ in range(max(1, periods // n)):
         path = np.array(march(state, phases)).T
         if not np.all(np.isfinite(path)) or np.abs(path).max() > 1e12:

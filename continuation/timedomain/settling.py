@@ -1,0 +1,200 @@
+"""Find the attractor a period map settles on, and the number of excitation periods after which it repeats."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+LARGEST_PERIOD = 16
+_WINDOW = 16  # periods per half of the record in which decay is judged
+_NEAR = 3e-2  # differences over n periods, times n and over the scale, from which the map counts as near a cycle
+_NOISE = 1e-9  # differences that may be step selection and rounding
+_DECAYING = 0.9  # ratio of successive windows that makes it worth to sum the series
+_TIGHT = 0.01  # of the tolerance: length of the last correction on a smooth map
+_ROUGH = 10  # tolerances: length of the last correction where step selection at contacts makes the map rough
+_CONTRACTING = 0.997  # multipliers from differences of CVODES runs are good to about 1e-3
+_DIFFERENCE = 3e-4  # over the scale; the maps of CVODES with contact are smooth to 1e-8 or so
+
+PeriodMap = Callable[[np.ndarray], np.ndarray]
+"""State (n,) at phase 0 to the states (samples + 1, n) of one excitation period."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """Hold where a period map settled.
+
+    Attributes
+    ----------
+    period : int
+        Number of excitation periods after which the response repeats; 0 when that was not recognised.
+    periods_used : int
+        Excitation periods integrated, all purposes.
+    waveform : ndarray (period*samples, n) or (recorded*samples, n)
+        States over one period of the response, or over the last recorded excitation periods when it does not repeat.
+    state : ndarray (n,)
+        State at phase 0 after the last period.
+    """
+
+    period: int
+    periods_used: int
+    waveform: np.ndarray
+    state: np.ndarray
+
+
+class Settling:
+    """Iterate a period map until it repeats.
+
+    Parameters
+    ----------
+    advance : callable
+        Period map, a function of the state alone.
+    tolerance : float
+        Distance to the cycle, over the largest value of each state, at which the response counts as settled.
+    floor : float
+        Value in the unit of the states that is added to the scale of every state.
+    transient, limit, recorded : int
+        Periods before the first judgement, periods at most, periods kept when the response does not repeat.
+
+    Notes
+    -----
+    Two ways lead to the verdict "repeats after n periods". Either successive differences have decayed so far that the
+    rest of their geometric series is below the tolerance. Or they decay, but slowly: then the derivative of the n-fold
+    map is taken by finite differences. If all its multipliers lie inside the unit circle, Newton's method sums the
+    series, starting near the cycle; the result is the limit of plain iteration. A cycle with a multiplier close to the
+    unit circle is left to plain iteration, so that a small period-2 split is never taken for period 1.
+    """
+
+    def __init__(
+        self, advance: PeriodMap, *, tolerance: float, floor: float, transient: int, limit: int, recorded: int
+    ) -> None:
+        self.advance, self.tolerance, self.floor = advance, tolerance, floor
+        self.transient, self.limit, self.recorded = max(transient, 2 * _WINDOW), limit, recorded
+        self.used = 0
+        self._failed = dict.fromkeys(range(1, LARGEST_PERIOD + 1), np.inf)
+
+    def run(self, x: np.ndarray) -> Settled:
+        """Iterate from a state (n,) until the response repeats or the limit is reached."""
+        strobe, sizes = [x], []
+        waves: deque[np.ndarray] = deque(maxlen=max(self.recorded, 1))
+        while self.used < self.limit:
+            waves.append(self._period(strobe[-1]))
+            strobe.append(waves[-1][-1])
+            sizes.append(abs(waves[-1]).max(axis=0))
+            if len(strobe) > self.transient and len(strobe) % (_WINDOW // 2) == 0:
+                scale = np.max(sizes[-_WINDOW:], axis=0) + self.floor
+                found = self._judge(np.array(strobe[-4 * _WINDOW - 1 :]) / scale, strobe[-1], scale)
+                if found is not None:
+                    return self._record(*found)
+        waveform = np.vstack([w[:-1] for w in waves])
+        return Settled(0, self.used, waveform, strobe[-1])
+
+    def _period(self, x: np.ndarray) -> np.ndarray:
+        self.used += 1
+        return self.advance(x)
+
+    def _judge(self, strobe: np.ndarray, x: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray] | None:
+        """Return the period number and a state on the cycle, for the smallest period that fits."""
+        for n in range(1, min(LARGEST_PERIOD, len(strobe) - 2 * _WINDOW) + 1):
+            before, now = decay(strobe, n)
+            if now > _NEAR / n:
+                continue
+            if now <= self.tolerance and _remaining(strobe, n, now, before) <= self.tolerance:
+                return n, x
+            decaying = now < _DECAYING * before or now < _ROUGH * self.tolerance
+            if decaying and now < self._failed[n] / 4:
+                self._failed[n] = now
+                return self._newton(n, x, scale)  # multiples of n decay as well and tell no more
+        return None
+
+    def _newton(self, n: int, x: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray] | None:
+        """Sum the series of differences of the n-fold map; None unless the cycle attracts and is near."""
+        start, size, last = x, np.inf, np.inf
+        derivative = self._derivative(n, x, scale)
+        if _radius(derivative) >= _CONTRACTING:
+            return None
+        for _ in range(8):
+            step = np.linalg.solve(np.eye(len(x)) - derivative, (self._fold(n, x) - x) / scale)
+            last, size = size, float(abs(step).max())
+            if not size < last / 2:
+                break
+            x = x + scale * step
+            if size <= _TIGHT * self.tolerance:
+                break
+        if not min(size, last) <= _ROUGH * self.tolerance:
+            return None
+        moved = float(abs((x - start) / scale).max())
+        if moved > 10 * _NEAR or (moved > 1e-3 and _radius(self._derivative(n, x, scale)) >= _CONTRACTING):
+            return None
+        return self._shortest(n, x, scale), x
+
+    def _shortest(self, n: int, x: np.ndarray, scale: np.ndarray) -> int:
+        """Return the smallest divisor of n after which a cycle repeats.
+
+        A split smaller than the bound used here comes with a multiplier so close to 1 that the cycle was not accepted.
+        """
+        bound = _ROUGH * self.tolerance
+        fits = (m for m in range(1, n) if n % m == 0 and abs((self._fold(m, x) - x) / scale).max() <= bound)
+        return next(fits, n)
+
+    def _fold(self, n: int, x: np.ndarray) -> np.ndarray:
+        for _ in range(n):
+            x = self._period(x)[-1]
+        return x
+
+    def _derivative(self, n: int, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """Return the derivative (n, n) of the n-fold map in scaled states, by differences."""
+        base = self._fold(n, x)
+        shifted = [self._fold(n, x + d) for d in np.diag(_DIFFERENCE * scale)]
+        return np.column_stack([(s - base) / scale / _DIFFERENCE for s in shifted])
+
+    def _record(self, n: int, x: np.ndarray) -> Settled:
+        parts = []
+        for _ in range(n):
+            parts.append(self._period(x))
+            x = parts[-1][-1]
+        return Settled(n, self.used, np.vstack([w[:-1] for w in parts]), x)
+
+
+def decay(strobe: np.ndarray, n: int) -> tuple[float, float]:
+    """Return the largest difference over n periods in the earlier and in the later half of the record.
+
+    Parameters
+    ----------
+    strobe : ndarray (k, states)
+        Stroboscopic states over their scale, k more than 32 + n.
+    n : int
+        Candidate period number.
+
+    Examples
+    --------
+    >>> strobe = 0.5 ** np.arange(40.0)[:, None]
+    >>> before, now = decay(strobe, 1)
+    >>> round(now / before * 2**16, 6)
+    1.0
+    """
+    recent = strobe[-2 * _WINDOW - n :]
+    differences = abs(recent[n:] - recent[:-n]).max(axis=1)
+    return float(differences[-2 * _WINDOW : -_WINDOW].max()), float(differences[-_WINDOW:].max())
+
+
+def _remaining(strobe: np.ndarray, n: int, now: float, before: float) -> float:
+    """Estimate the distance still to go, from the drift over two spans of a multiple of n periods.
+
+    Differences at the level of rounding and step selection carry no ratio; when they do not add up to a drift either,
+    they are themselves the estimate.
+    """
+    span = n * -(-_WINDOW // n)
+    if len(strobe) <= 2 * span:
+        return np.inf
+    late = float(abs(strobe[-1] - strobe[-1 - span]).max())
+    early = float(abs(strobe[-1 - span] - strobe[-1 - 2 * span]).max())
+    if max(now, before) < _NOISE and late < 4 * max(now, before, 1e-14):
+        return max(now, late)
+    return np.inf if now > before or late >= early else late * late / (early - late)
+
+
+def _radius(matrix: np.ndarray) -> float:
+    return float(abs(np.linalg.eigvals(matrix)).max())
