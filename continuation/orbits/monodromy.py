@@ -49,35 +49,53 @@ def _collocation(q: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray
 
 
 class _Flow:
-    """Exponentials of the constant part A_S in modal form, or as matrices where that is ill-conditioned."""
+    """Exponentials of the constant part A_S in real modal form, or as matrices where that is ill-conditioned.
+
+    A complex pair ``a +- ib`` with eigenvector ``v`` has the basis columns Re v, Im v, in which exp(A t) is
+    ``exp(a t)`` times a rotation by ``b t``; ``partner`` and ``side`` name the other column and its sign.
+    """
 
     def __init__(self, matrix: np.ndarray, B: np.ndarray, C: np.ndarray) -> None:
         self.matrix, n = matrix, len(matrix)
         values, modes = np.linalg.eig(matrix)
-        self.modal = bool(np.linalg.cond(modes) < 1e6)
-        self.basis = modes if self.modal else np.eye(n)
-        inverse = np.linalg.inv(self.basis)
-        self.values, self.inverse = values, inverse
-        self.C, self.B = C @ self.basis, inverse @ B
+        first = np.flatnonzero(values.imag >= 0)
+        kept = np.concatenate([[i] if values[i].imag == 0 else [i, i] for i in first]).astype(int)
+        second = np.append(False, kept[1:] == kept[:-1])
+        basis = np.where(second, modes[:, kept].imag, modes[:, kept].real)
+        self.modal = bool(len(kept) == n and np.linalg.cond(basis) < 1e6)
+        self.basis = basis if self.modal else np.eye(n)
+        self.inverse = np.linalg.inv(self.basis)
+        self.partner = np.arange(n)
+        self.partner[second] -= 1
+        self.partner[np.flatnonzero(second) - 1] += 1
+        self.side = np.where(second, -1.0, 1.0)
+        self.rates = values[first]
+        self.column = np.searchsorted(first, kept)
+        self.C, self.B = C @ self.basis, self.inverse @ B
         self.radius = float(np.abs(values).max(initial=0.0))
 
-    def left(self, t: np.ndarray) -> np.ndarray:
-        """C exp(A t), shape (..., k, n)."""
-        if self.modal:
-            return self.C * np.exp(t[..., None, None] * self.values)
-        return self.C @ sl.expm(t[..., None, None] * self.matrix)
+    def _turn(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        angle = t[..., None] * self.rates.imag
+        growth = np.exp(t[..., None] * self.rates.real)
+        cos, sin = np.cos(angle), np.sin(angle)
+        return growth[..., self.column], cos[..., self.column], self.side * sin[..., self.column]
 
-    def right(self, t: np.ndarray) -> np.ndarray:
-        """exp(-A t) B, shape (..., n, m)."""
-        if self.modal:
-            return np.exp(-t[..., None] * self.values)[..., None] * self.B
-        return sl.expm(-t[..., None, None] * self.matrix) @ self.B
+    def sides(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return C exp(A t), shape (..., k, n), and exp(-A t) B, shape (..., n, m)."""
+        if not self.modal:
+            at = t[..., None, None] * self.matrix
+            return self.C @ sl.expm(at), sl.expm(-at) @ self.B
+        growth, cos, sin = self._turn(t)
+        left = (growth * cos)[..., None, :] * self.C - (growth * sin)[..., None, :] * self.C[:, self.partner]
+        right = (cos / growth)[..., None] * self.B - (sin / growth)[..., None] * self.B[self.partner]
+        return left, right
 
-    def full(self, t: np.ndarray) -> np.ndarray:
-        """exp(A t), shape (..., n, n)."""
-        if self.modal:
-            return np.exp(t[..., None] * self.values)[..., None] * np.eye(len(self.matrix))
-        return sl.expm(t[..., None, None] * self.matrix)
+    def advance(self, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return exp(A t) x for t (P,), x (P, n, n)."""
+        if not self.modal:
+            return sl.expm(t[..., None, None] * self.matrix) @ x
+        growth, cos, sin = self._turn(t)
+        return (growth * cos)[..., None] * x + (growth * sin)[..., None] * x[:, self.partner]
 
 
 class _Waves:
@@ -99,8 +117,8 @@ class _Waves:
         """Starts, lengths and owners of pieces that end at contact changes and are at most ``longest`` (N,) long."""
         starts, lengths, owners = [], [], []
         for i, limit in enumerate(longest):
-            edges = np.unique(np.concatenate([[0.0, 2 * np.pi], *(phases[i] for phases, _ in self.patterns)]))
-            edges = edges[np.isfinite(edges)]
+            changes = np.concatenate([[0.0, 2 * np.pi], *(phases[i] for phases, _ in self.patterns)])
+            edges = np.sort(changes[np.isfinite(changes)])
             gaps = np.diff(edges)
             counts = np.maximum(np.ceil(gaps / limit).astype(int), 1)
             size = np.repeat(gaps / counts, counts)
@@ -204,7 +222,7 @@ def _pieces(flow: _Flow, h: np.ndarray, Q: np.ndarray) -> np.ndarray:
     x, w, integrals, _ = _collocation(_NODES)
     count, q, m, k = Q.shape
     t = h[:, None] * x
-    left, right = flow.left(t), flow.right(t)
+    left, right = flow.sides(t)
     if m == k == 1:
         kernel = left[:, :, 0] @ right[..., 0].transpose(0, 2, 1)
         system = np.eye(q) - (integrals * h[:, None, None]) * kernel * Q[:, None, :, 0, 0]
@@ -216,7 +234,7 @@ def _pieces(flow: _Flow, h: np.ndarray, Q: np.ndarray) -> np.ndarray:
         eta = np.linalg.solve(system, left.reshape(count, q * k, -1)).reshape(count, q, k, -1)
     weighted = (right @ Q * (h[:, None] * w)[..., None, None]).transpose(0, 2, 1, 3).reshape(count, -1, q * k)
     inner = np.eye(len(flow.matrix)) + weighted @ eta.reshape(count, q * k, -1)
-    return flow.full(h) @ inner
+    return flow.advance(h, inner)
 
 
 def monodromy(problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, float]]) -> Monodromy:
@@ -264,11 +282,11 @@ def _chunk(
     pieces = _pieces(flow, duration, values + part.S)
     counts = np.bincount(owner, minlength=len(orbits))
     offsets = np.concatenate([[0], np.cumsum(counts)])
-    product = np.broadcast_to(np.eye(len(part.A), dtype=complex), (len(orbits), *part.A.shape)).copy()
+    product = np.broadcast_to(np.eye(len(part.A)), (len(orbits), *part.A.shape)).copy()
     for j in range(int(counts.max())):
         active = np.flatnonzero(counts > j)
         product[active] = pieces[offsets[active] + j] @ product[active]
-    matrices = (flow.basis @ product @ flow.inverse).real
+    matrices = flow.basis @ product @ flow.inverse
     return matrices, np.linalg.slogdet(matrices)[1] - traces
 
 
