@@ -151,7 +151,7 @@ class ExtendedProblem:
 
     def at(self, q: float) -> Any:
         """Return the inner problem with the second parameter at q."""
-        self._inner.values[self.parameter] = float(q)
+        self._inner.set_value(self.parameter, q)
         return self._inner
 
     def _matrix(self, u: np.ndarray, p: float, q: float) -> np.ndarray:

@@ -84,7 +84,7 @@ class Ports:
         self._u, self._offset = ca.densify(u), ca.densify(offset)
         self._find_pivots()
         self._build_functions(theta, p)
-        self._cache: dict[str, tuple[bytes, object]] = {}
+        self._cache: dict[str, tuple[np.ndarray, bytes, Any]] = {}
 
     def _check_contacts(self) -> None:
         s = self.system
@@ -211,12 +211,14 @@ class Ports:
         return self._cached("forcing", p, self._forcing_moves, self._make_forcing)
 
     def _cached(self, name, p, moves, make):  # type: ignore[no-untyped-def]
+        found = self._cache.get(name)
+        if found is not None and found[0] is p:  # the same array object, the common case inside one Newton step
+            return found[2]
         key = p if moves or self.system.frequency is None else self._without_frequency(p)
         tag = key.tobytes()
-        found = self._cache.get(name)
-        if found is None or found[0] != tag:
-            found = self._cache[name] = (tag, make(p))
-        return found[1]
+        value = found[2] if found is not None and found[1] == tag else make(p)
+        self._cache[name] = (p, tag, value)
+        return value
 
     def _without_frequency(self, p: np.ndarray) -> np.ndarray:
         key = p.copy()

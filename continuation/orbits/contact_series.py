@@ -68,9 +68,10 @@ def find_patterns(arguments: np.ndarray, contact: Contact) -> list[ContactPatter
     extrema = _extrema(arguments, values, step, np.array(contact.breakpoints))
     if extrema:
         brackets = _with_extrema(arguments, extrema, values, np.array(contact.breakpoints), brackets, step)
-    owner, left = brackets[:2]
+    owner, left, _, _, f_right, level = brackets
     phases = _polish(arguments, *brackets) if owner.size else left
-    return _patterns(arguments, values[:, 0], owner, phases, contact)
+    after = np.searchsorted(contact.breakpoints, level) + (f_right > 0)  # a root that rises leads to the upper mode
+    return _patterns(values[:, 0], owner, phases, after, contact)
 
 
 def _brackets(values: np.ndarray, levels: tuple[float, ...], step: float) -> tuple[np.ndarray, ...]:
@@ -168,23 +169,19 @@ def _polish(
 
 
 def _patterns(
-    arguments: np.ndarray, start: np.ndarray, owner: np.ndarray, phases: np.ndarray, contact: Contact
+    start: np.ndarray, owner: np.ndarray, phases: np.ndarray, after: np.ndarray, contact: Contact
 ) -> list[ContactPattern]:
+    """Sort roots by owner; ``after`` (R,) is the mode behind each root, ``start`` (N,) the argument at phase 0."""
     order = np.lexsort((phases, owner))
-    owner, phases = owner[order], phases[order]
-    counts = np.bincount(owner, minlength=len(arguments))
-    ends = np.cumsum(counts)
-    out: list[ContactPattern] = []
-    before = np.roll(phases, 1)
-    filled = counts > 0
-    before[ends[filled] - counts[filled]] = phases[ends[filled] - 1] - 2 * np.pi
-    modes = contact.mode(_at(arguments, owner, (phases + before) / 2, 0)) if phases.size else np.zeros(0, dtype=int)
-    for i, (count, end) in enumerate(zip(counts, ends, strict=True)):
-        if count:
-            own = modes[end - count : end]
-            out.append(ContactPattern(phases[end - count : end], np.append(own, own[0])))
+    phases, after = phases[order], after[order]
+    ends = np.cumsum(np.bincount(owner, minlength=len(start)))
+    out, begin = [], 0
+    for end, value in zip(ends.tolist(), start, strict=True):
+        if end > begin:
+            out.append(ContactPattern(phases[begin:end], np.append(after[end - 1], after[begin:end])))
         else:
-            out.append(ContactPattern(np.zeros(0), np.array([contact.mode(start[i])])))
+            out.append(ContactPattern(phases[:0], np.array([contact.mode(value)])))
+        begin = end
     return out
 
 

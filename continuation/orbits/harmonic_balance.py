@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from continuation.errors import UnsupportedModel
-from continuation.model.ports import Ports
+from continuation.model.ports import LinearPart, Ports
 from continuation.model.system import System
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.port_force import PortForces
@@ -83,17 +83,27 @@ class HarmonicBalanceProblem:
         self.ports = Ports(system)
         self._index = system.parameter_names.index(parameter)
         self._frequency = system.parameter_names.index(system.frequency)
-        self._receptance: tuple[int, Receptance] | None = None
+        self._receptance: tuple[LinearPart, Receptance] | None = None
+        self._vector: tuple[float, np.ndarray] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
         self._corrections: dict[bytes, np.ndarray] = {}
         self.evaluations = self.factorisations = 0
 
     # ---------------------------------------------------------------- parameters and linear part
     def vector(self, p: float) -> np.ndarray:
-        """Return the full parameter vector with the continuation parameter at p."""
-        vector = np.fromiter(self.values.values(), dtype=float)
-        vector[self._index] = p
-        return vector
+        """Return the full parameter vector with the continuation parameter at p (read-only)."""
+        if self._vector is None or self._vector[0] != p:
+            vector = np.fromiter(self.values.values(), dtype=float)
+            vector[self._index] = p
+            vector.flags.writeable = False
+            self._vector = (p, vector)
+        return self._vector[1]
+
+    def set_value(self, name: str, value: float) -> None:
+        """Change the value of a parameter that is fixed along the branch."""
+        if self.values[self.system.check_parameter(name)] != value:
+            self.values[name], self._vector = float(value), None
+            self._corrections.clear()
 
     def frequency(self, p: float) -> float:
         """Return the base angular frequency of the orbit (excitation frequency over the period multiple)."""
@@ -105,8 +115,8 @@ class HarmonicBalanceProblem:
     def receptance(self, p: float) -> Receptance:
         """Return the receptance at p, rebuilt only when the linear part changes."""
         part = self.ports.linear(self.vector(p))
-        if self._receptance is None or self._receptance[0] != id(part):
-            self._receptance = (id(part), receptance(part))
+        if self._receptance is None or self._receptance[0] is not part:
+            self._receptance = (part, receptance(part))
         return self._receptance[1]
 
     def transfer(self, p: float, orders: np.ndarray) -> np.ndarray:
