@@ -17,6 +17,7 @@ from continuation.orbits.orbit import Orbit
 
 Progress = Callable[[float, str], None]
 Ended = Callable[[Node, Node], str | None]
+_ACCURACY = 1e-9  # of points along the branch; special points are corrected further
 _TURN = 0.35  # rad between tangents of neighbouring points that makes a step be taken again, halved
 
 
@@ -186,7 +187,8 @@ def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Me
     ds = min(ds, largest)
     while ds >= smallest:
         try:
-            new = correct(problem, _predict(problem, nodes, ds, metric), (node.tu, node.tp), metric, iterations=8)
+            guess = _predict(problem, nodes, ds, metric)
+            new = correct(problem, guess, (node.tu, node.tp), metric, iterations=8, accuracy=_ACCURACY)
         except NoConvergence as failure:
             reason, ds = str(failure), ds / 2
             continue
@@ -202,30 +204,40 @@ def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Me
 
 
 def _predict(problem: Any, nodes: list[Node], ds: float, metric: Metric) -> tuple[np.ndarray, float]:
-    """Second-order predictor: tangent, and its change since the last point."""
+    """Continue the cubic through the last two points and their tangents; a tangent alone where that reaches too far."""
     node = nodes[-1]
     guess = node.u + ds * node.tu, node.p + ds * node.tp
     if len(nodes) < 2:
         return guess
     before, fit = nodes[-2], problem.lengthen
-    last = metric.length(node.u - fit(before.u, node.u), node.p - before.p)
+    du, dp = node.u - fit(before.u, node.u), node.p - before.p
+    last = metric.length(du, dp)
     if ds > 3 * last:
         return guess
-    bend = ds**2 / (2 * last)
-    return guess[0] + bend * (node.tu - fit(before.tu, node.u)), guess[1] + bend * (node.tp - before.tp)
+    # Hermite cubic on [-last, 0], its curvature and third derivative at 0
+    bend_u = (4 * node.tu + 2 * fit(before.tu, node.u) - 6 * du / last) / last
+    bend_p = (4 * node.tp + 2 * before.tp - 6 * dp / last) / last
+    jerk_u = 6 * (node.tu + fit(before.tu, node.u) - 2 * du / last) / last**2
+    jerk_p = 6 * (node.tp + before.tp - 2 * dp / last) / last**2
+    return (
+        guess[0] + ds**2 / 2 * bend_u + ds**3 / 6 * jerk_u,
+        guess[1] + ds**2 / 2 * bend_p + ds**3 / 6 * jerk_p,
+    )
 
 
 def _resolve(problem: Any, node: Node, direction: tuple[np.ndarray, float], metric: Metric) -> Node:
     """Change the resolution where the error asks for it; keep the node if that does not converge."""
     error = float("nan")
+    raised = False
     for _ in range(8):
         u, error = problem.adapt(node.u, node.p)
-        if len(u) == len(node.u):
-            break
         shorter = len(u) < len(node.u)
+        if len(u) == len(node.u) or (shorter and raised):
+            break
+        raised = not shorter
         across = problem.lengthen(direction[0], u), direction[1]
         try:
-            node = correct(problem, (u, node.p), across, metric, iterations=8)
+            node = correct(problem, (u, node.p), across, metric, iterations=8, accuracy=_ACCURACY)
         except NoConvergence:
             break  # the error estimate of the orbit tells that the wanted resolution was not reached
         if shorter:

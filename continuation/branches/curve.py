@@ -41,11 +41,18 @@ class Segment:
         d = (b - a) + (1 - 4 * x + 3 * x * x) * (ta - (b - a)) - (2 * x - 3 * x * x) * (tb - (b - a))
         return d[:-1], float(d[-1])
 
-    def node(self, x: float, like: np.ndarray | None = None) -> Node:
-        """Return the true point of the branch on the hyperplane through x (raises NoConvergence)."""
+    def node(self, x: float, like: np.ndarray | None = None, near: tuple[float, Node] | None = None) -> Node:
+        """Return the true point of the branch on the hyperplane through x (raises NoConvergence).
+
+        ``like`` gives the resolution, ``near`` a true point known at another x, whose distance from the interpolation
+        is taken over as a better guess.
+        """
         (u, p), (du, dp) = self.at(np.array([x]))[0], self.direction(x)
         if like is not None:
             u, du = self.problem.lengthen(u, like), self.problem.lengthen(du, like)
+        if near is not None:
+            u_near, p_near = self.at(np.array([near[0]]))[0]
+            u, p = u + near[1].u - self.problem.lengthen(u_near, near[1].u), p + near[1].p - p_near
         size = self.metric.length(du, dp)
         return correct(self.problem, (u, p), (du / size, dp / size), self.metric)
 

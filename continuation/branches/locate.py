@@ -15,7 +15,7 @@ from continuation.branches.screening import Suspect
 from continuation.errors import NoConvergence
 
 _GOAL = 1e-9  # wanted error, relative to the size of the parameter
-_ROOT = 2e-12  # where the secant stops, relative likewise
+_ROOT = 2e-11  # where the secant stops, relative likewise
 _REACH = 0.5  # how far outside its segment a root may lie (multipliers and operator are discretised differently)
 
 
@@ -115,10 +115,10 @@ def _result(kind: Kind, node: Node, error: float, segment: Segment, x: float) ->
 
 
 def _extrapolated(changes: list[float]) -> float:
-    """Error left after a sequence of changes under doubling: twice the geometric remainder, ratio at most 1/2."""
+    """Error left after a sequence of changes under doubling: twice the geometric remainder, ratio kept in 1/20 .. 1/2."""
     if len(changes) == 1:
         return changes[0]
-    ratio = min(0.5, max(changes[-1] / max(changes[-2], 1e-300), 0.02))
+    ratio = min(0.5, max(changes[-1] / max(changes[-2], 1e-300), 0.05))
     return 2 * changes[-1] * ratio / (1 - ratio)
 
 
@@ -140,7 +140,7 @@ def _secant(
     value = test(node)
     if slope is None:
         step = 1e-3 if x < 0.5 else -1e-3
-        slope = (test(segment.node(x + step, like)) - value) / step
+        slope = (test(segment.node(x + step, like, (x, node))) - value) / step
     for count in range(40):
         if low is not None and high is not None:
             low, high = ((x, value), high) if value * low[1] > 0 else (low, (x, value))
@@ -151,7 +151,7 @@ def _secant(
             target = x + float(np.clip(target - x, -0.25, 0.25))
         if not -_REACH <= target <= 1 + _REACH or (count > 25 and low is None):
             break
-        new = segment.node(target, like)
+        new = segment.node(target, like, (x, node))
         move, moved, new_value = target - x, abs(new.p - node.p), test(new)
         if new_value != value and move != 0:
             slope = (new_value - value) / move

@@ -11,7 +11,6 @@ import scipy.linalg as sl
 from continuation.errors import NoConvergence
 
 _STEP = 1e-8  # a step below this (relative) is the last: convergence is quadratic
-_NEXT = 1e-11  # and so is one whose successor, predicted from the rate so far, would be below this
 _HALVINGS = 6
 
 
@@ -69,6 +68,7 @@ def correct(
     metric: Metric,
     *,
     iterations: int = 12,
+    accuracy: float = 1e-11,
 ) -> Node:
     """Solve F = 0 on the hyperplane through ``guess`` normal to ``direction``.
 
@@ -76,6 +76,10 @@ def correct(
     ----------
     guess, direction : (u, p)
         Start and normal; a direction ``(0, 1)`` keeps the parameter fixed.
+    iterations : int
+        Most Newton steps.
+    accuracy : float
+        A step is the last when the one after it, predicted from the rate so far, is below this, relative to the size.
 
     Returns
     -------
@@ -101,7 +105,7 @@ def correct(
             raise NoConvergence("Newton's step is not finite", history, p)
         scale = max(1.0, float(np.linalg.norm(u)) / metric.size)
         if size < _STEP * scale or (
-            size < 1e-4 * scale and np.isfinite(last) and 10 * (size / last) ** 2 * size < _NEXT * scale
+            size < 1e-4 * scale and np.isfinite(last) and 10 * (size / last) ** 2 * size < accuracy * scale
         ):
             tu, tp = tangent[:-1], float(tangent[-1])
             norm = metric.length(tu, tp)

@@ -139,6 +139,8 @@ class Ports:
         if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(rows))):
             columns, rows = self._stacks(p)
         self.rows, self.cols = _pivots(columns), _pivots(rows.T)
+        if not (self.rows.size and self.cols.size):  # a linear model: one port that carries no force
+            self.rows, self.cols = np.array([0]), np.array([0])
 
     def _build_functions(self, theta: ca.SX, p: ca.SX) -> None:
         s = self.system

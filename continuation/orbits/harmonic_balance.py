@@ -85,6 +85,7 @@ class HarmonicBalanceProblem:
         self._frequency = system.parameter_names.index(system.frequency)
         self._receptance: tuple[LinearPart, Receptance] | None = None
         self._vector: tuple[float, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, float, np.ndarray] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
         self._corrections: dict[bytes, np.ndarray] = {}
         self.evaluations = self.factorisations = 0
@@ -165,6 +166,7 @@ class HarmonicBalanceProblem:
         force = self.forces(Y, self.vector(p), H, 2 * H)
         R, transfer, load = self._balance(Y, force.W, p)
         J = operator(transfer, force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
+        self._last = (u, p, J)
         return pack(R), J, self._parameter_derivative(u, p, load)
 
     def _parameter_derivative(self, u: np.ndarray, p: float, load: np.ndarray) -> np.ndarray:
@@ -199,25 +201,36 @@ class HarmonicBalanceProblem:
     def _correction(self, u: np.ndarray, p: float) -> np.ndarray:
         k = self.ports.outputs
         Y = unpack(u, k)
-        H = len(Y) - 1
-        longer = np.zeros((2 * H + 2, k), dtype=complex)
+        H, n = len(Y) - 1, 2 * len(Y)
+        longer = np.zeros((n, k), dtype=complex)
         longer[: H + 1] = Y
-        force = self.forces(longer, self.vector(p), 2 * H + 1, 3 * H + 2)
+        force = self.forces(longer, self.vector(p), n - 1, n + H)
         R, transfer, _ = self._balance(longer, force.W, p)
+        stiffness = self.receptance(p).stiffness(np.arange(n))
+        middle = len(force.slope) // 2
         tail = np.zeros_like(longer)
-        mean = force.slope[len(force.slope) // 2] + self.receptance(p).stiffness(np.arange(1, 2))[0]
-        tail[H + 1 :] = -np.linalg.solve(np.eye(k) - transfer[H + 1 :] @ mean, R[H + 1 :, :, None])[..., 0]
-        J = operator(transfer[: H + 1], force.slope, self.receptance(p).stiffness(np.arange(H + 1)), 2 * H + 2)
+        own = np.eye(k) - transfer[H + 1 :] @ (force.slope[middle] + stiffness[H + 1 :])
+        tail[H + 1 :] = -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
+        # what the tail does to the harmonics kept: the port force it adds, through the linearised balance
+        minus, plus = middle + _differences(H + 1, n), middle + _sums(H + 1, n)
+        added = np.einsum("klab,lb->ka", force.slope[minus], tail[H + 1 :])
+        added += np.einsum("klab,lb->ka", force.slope[plus], tail[H + 1 :].conj())
+        low = (transfer[: H + 1] @ added[..., None])[..., 0]
+        J = self._jacobian(u, p, transfer[: H + 1], force.slope)
         self.factorisations += 1
-        low, full = self._column_split(k, H)
-        tail[: H + 1] = unpack(np.linalg.solve(J[:, low], -(J[:, full] @ pack(tail)[full])), k)
+        tail[: H + 1] = unpack(np.linalg.solve(J, pack(low)), k)
         return pack(tail)
 
-    @staticmethod
-    def _column_split(k: int, H: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns of the low harmonics 0..H and of the tail H+1..2H+1 in a packed vector."""
-        order = np.concatenate([np.zeros(k), *[np.repeat(np.arange(1, 2 * H + 2), k)] * 2])
-        return np.flatnonzero(order <= H), np.flatnonzero(order > H)
+    def _jacobian(self, u: np.ndarray, p: float, transfer: np.ndarray, slope: np.ndarray) -> np.ndarray:
+        """Return dF/du, the one of the last Newton step where that was close by."""
+        last = self._last
+        if last is not None and len(last[0]) == len(u):
+            moved = np.linalg.norm(last[0] - u) / max(float(np.linalg.norm(u)), 1e-12) + abs(last[1] - p) / abs(
+                p or 1.0
+            )
+            if moved < 1e-4:
+                return last[2]
+        return operator(transfer, slope, self.receptance(p).stiffness(np.arange(len(transfer))), len(transfer))
 
     def error(self, u: np.ndarray, p: float) -> float:
         """Return the estimated largest error of the waveform of the port arguments."""
@@ -240,8 +253,9 @@ class HarmonicBalanceProblem:
         goal = method.tolerance * max(float(np.linalg.norm(u)), 1e-12)
         if error > goal and method.max_harmonics > H:
             return resize(resize(u, k, 2 * H + 1) + step, k, min(2 * H + 1, method.max_harmonics)), error
-        if error < goal / 300 and H > 7:
-            return resize(u, k, (H - 1) // 2), error
+        half = (H - 1) // 2
+        if H > 7 and self._size(u - resize(resize(u, k, half), k, H)) < goal / 10:
+            return resize(u, k, half), error
         return u, error
 
     def lengthen(self, u: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -319,6 +333,16 @@ class HarmonicBalanceProblem:
         from continuation.orbits.start import correct_at
 
         return correct_at(self, self.unknown(orbit), value)
+
+
+def _differences(low: int, high: int) -> np.ndarray:
+    """Orders k - l for k < low <= l < high."""
+    return np.arange(low)[:, None] - np.arange(low, high)[None, :]
+
+
+def _sums(low: int, high: int) -> np.ndarray:
+    """Orders k + l for k < low <= l < high."""
+    return np.arange(low)[:, None] + np.arange(low, high)[None, :]
 
 
 def ladder(harmonics: int) -> int:
