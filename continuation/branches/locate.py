@@ -115,7 +115,7 @@ def _result(kind: Kind, node: Node, error: float, segment: Segment, x: float) ->
 
 
 def _extrapolated(changes: list[float]) -> float:
-    """Error left after a sequence of changes under doubling: twice the geometric remainder, ratio kept in 1/20 .. 1/2."""
+    """Error left after changes under doubling: twice the geometric remainder, its ratio kept in 1/20 .. 1/2."""
     if len(changes) == 1:
         return changes[0]
     ratio = min(0.5, max(changes[-1] / max(changes[-2], 1e-300), 0.05))

@@ -59,7 +59,7 @@ def find_patterns(arguments: np.ndarray, contact: Contact) -> list[ContactPatter
     Each is sampled at 8 to 16 points per shortest wave; extrema between samples that may reach a breakpoint are
     searched by Newton's method, so that a contact shorter than a sample is not missed.
     """
-    count = 8 << (arguments.shape[1] + 1).bit_length()
+    count = 8 << max(arguments.shape[1] - 1, 2).bit_length()
     values = np.empty((len(arguments), count + 2))  # two samples more than a period, to look across its end
     values[:, :count] = np.fft.irfft(arguments, count, axis=1, norm="forward")
     values[:, count:] = values[:, :2]

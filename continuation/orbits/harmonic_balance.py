@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -84,10 +86,11 @@ class HarmonicBalanceProblem:
         self._index = system.parameter_names.index(parameter)
         self._frequency = system.parameter_names.index(system.frequency)
         self._receptance: tuple[LinearPart, Receptance] | None = None
+        self._derived: tuple[LinearPart, Any] | None = None
         self._vector: tuple[float, np.ndarray] | None = None
         self._last: tuple[np.ndarray, float, np.ndarray] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
-        self._corrections: dict[bytes, np.ndarray] = {}
+        self._corrections: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
         self.evaluations = self.factorisations = 0
 
     # ---------------------------------------------------------------- parameters and linear part
@@ -120,6 +123,12 @@ class HarmonicBalanceProblem:
             self._receptance = (part, receptance(part))
         return self._receptance[1]
 
+    def remember(self, part: LinearPart, make: Callable[[], Any]) -> Any:
+        """Return what was made of a linear part before, or make it; one such thing is kept per problem."""
+        if self._derived is None or self._derived[0] is not part:
+            self._derived = (part, make())
+        return self._derived[1]
+
     def transfer(self, p: float, orders: np.ndarray) -> np.ndarray:
         """Return the port receptance (K, k, m) at harmonic orders (0 first, if there)."""
         r, s = self.receptance(p), 1j * orders * self.frequency(p)
@@ -141,22 +150,26 @@ class HarmonicBalanceProblem:
         Y = unpack(u, self.ports.outputs)
         return pack(self._balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[0])
 
-    def _balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return residual harmonics, port receptance and load (K, n) on the linear part."""
+    def _balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return residual harmonics, port receptance, the ports' load V = W + S Y and the forcing of the states."""
         r, orders = self.receptance(p), np.arange(len(Y))
         transfer = self.transfer(p, orders)
         V = W + (r.stiffness(orders) @ Y[..., None])[..., 0]
-        load = V @ r.part.B.T
         u = self.ports.forcing(self.vector(p)).u
         n = self.period_multiple
         keep = min(len(u), (len(Y) - 1) // n + 1)
-        driven = np.zeros_like(load)
-        driven[: (keep - 1) * n + 1 : n] = u[:keep]
-        few = (keep - 1) * n + 1
-        free = np.zeros_like(Y)
-        free[:few] = self.states(p, driven[:few]) @ r.part.C.T
-        R = Y - (transfer @ V[..., None])[..., 0] - free
-        return R, transfer, load + driven
+        few = (keep - 1) * n + 1  # harmonics that are forced
+        driven = np.zeros((few, u.shape[1]), dtype=complex)
+        driven[::n] = u[:keep]
+        R = Y - (transfer @ V[..., None])[..., 0]
+        R[:few] -= self.states(p, driven) @ r.part.C.T
+        return R, transfer, V, driven
+
+    def _recover(self, p: float, V: np.ndarray, driven: np.ndarray) -> np.ndarray:
+        """Return the state harmonics (H+1, n) of port load V and forcing."""
+        load = V @ self.receptance(p).part.B.T
+        load[: len(driven)] += driven[: len(load)]
+        return self.states(p, load)
 
     def linearise(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return F (N,), J = dF/du (N, N) and dF/dp (N,) at once; J is exact, also with contacts."""
@@ -164,18 +177,26 @@ class HarmonicBalanceProblem:
         Y = unpack(u, self.ports.outputs)
         H = len(Y) - 1
         force = self.forces(Y, self.vector(p), H, 2 * H)
-        R, transfer, load = self._balance(Y, force.W, p)
+        R, transfer, V, driven = self._balance(Y, force.W, p)
         J = operator(transfer, force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
         self._last = (u, p, J)
-        return pack(R), J, self._parameter_derivative(u, p, load)
+        return pack(R), J, self._parameter_derivative(u, p, driven, V)
 
-    def _parameter_derivative(self, u: np.ndarray, p: float, load: np.ndarray) -> np.ndarray:
+    def _parameter_derivative(self, u: np.ndarray, p: float, load: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Return dF/dp: analytic for a frequency that acts through the phase, else central differences of F."""
         if self._index == self._frequency and not self.ports.frequency_explicit:
-            orders = 1j * np.arange(len(load)) / self.period_multiple
-            return pack((orders[:, None] * self.states(p, load, 2)) @ self.receptance(p).part.C.T)
+            return pack(self._phase_derivative(p, load, V))
         h = 6e-6 * max(1.0, abs(p))  # error about h^2 = 4e-11 and 1e-16 / h = 2e-11
         return (self.residual(u, p + h) - self.residual(u, p - h)) / (2 * h)
+
+    def _phase_derivative(self, p: float, driven: np.ndarray, V: np.ndarray) -> np.ndarray:
+        """Return i k / n C M_k^-2 (B V_k + u_k), the derivative of the balance in the frequency."""
+        r, few = self.receptance(p), len(driven)
+        orders = np.arange(len(V))
+        out = np.zeros((len(V), r.part.C.shape[0]), dtype=complex)
+        out[1:] = (r.ports(1j * orders[1:] * self.frequency(p), 2) @ V[1:, :, None])[..., 0]
+        out[:few] += self.states(p, driven, 2) @ r.part.C.T
+        return (1j * orders / self.period_multiple)[:, None] * out
 
     def half_operator(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return the operator on half-integer harmonics, singular exactly at a multiplier -1; shape (2 K k, 2 K k)."""
@@ -191,21 +212,22 @@ class HarmonicBalanceProblem:
 
         Cost about one Newton step; remembered for the points of one branch.
         """
-        key = u.tobytes() + np.float64(p).tobytes()
+        key = _key(u, p)
         if key not in self._corrections:
             if len(self._corrections) >= _REMEMBERED:
                 self._corrections.clear()
             self._corrections[key] = self._correction(u, p)
-        return self._corrections[key]
+        return self._corrections[key][0]
 
-    def _correction(self, u: np.ndarray, p: float) -> np.ndarray:
+    def _correction(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the correction, and the state harmonics of u, whose loads are known here."""
         k = self.ports.outputs
         Y = unpack(u, k)
         H, n = len(Y) - 1, 2 * len(Y)
         longer = np.zeros((n, k), dtype=complex)
         longer[: H + 1] = Y
         force = self.forces(longer, self.vector(p), n - 1, n + H)
-        R, transfer, _ = self._balance(longer, force.W, p)
+        R, transfer, V, driven = self._balance(longer, force.W, p)
         stiffness = self.receptance(p).stiffness(np.arange(n))
         middle = len(force.slope) // 2
         tail = np.zeros_like(longer)
@@ -219,7 +241,7 @@ class HarmonicBalanceProblem:
         J = self._jacobian(u, p, transfer[: H + 1], force.slope)
         self.factorisations += 1
         tail[: H + 1] = unpack(np.linalg.solve(J, pack(low)), k)
-        return pack(tail)
+        return pack(tail), self._recover(p, V[: H + 1], driven)
 
     def _jacobian(self, u: np.ndarray, p: float, transfer: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Return dF/du, the one of the last Newton step where that was close by."""
@@ -274,9 +296,8 @@ class HarmonicBalanceProblem:
     # ---------------------------------------------------------------- orbits
     def state_spectrum(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return the half spectrum (H+1, n) of all states, recovered exactly from the port forces."""
-        Y = unpack(u, self.ports.outputs)
-        load = self._balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[2]
-        return self.states(p, load)
+        self.correction(u, p)
+        return self._corrections[_key(u, p)][1]
 
     def unknown(self, orbit: Orbit) -> np.ndarray:
         """Return the unknown vector of an orbit of this System, whatever method it came from."""
@@ -333,6 +354,10 @@ class HarmonicBalanceProblem:
         from continuation.orbits.start import correct_at
 
         return correct_at(self, self.unknown(orbit), value)
+
+
+def _key(u: np.ndarray, p: float) -> bytes:
+    return u.tobytes() + np.float64(p).tobytes()
 
 
 def _differences(low: int, high: int) -> np.ndarray:

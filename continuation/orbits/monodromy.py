@@ -115,18 +115,16 @@ class _Waves:
 
     def pieces(self, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Starts, lengths and owners of pieces that end at contact changes and are at most ``longest`` (N,) long."""
-        starts, lengths, owners = [], [], []
-        for i, limit in enumerate(longest):
-            changes = np.concatenate([[0.0, 2 * np.pi], *(phases[i] for phases, _ in self.patterns)])
-            edges = np.sort(changes[np.isfinite(changes)])
-            gaps = np.diff(edges)
-            counts = np.maximum(np.ceil(gaps / limit).astype(int), 1)
-            size = np.repeat(gaps / counts, counts)
-            first = np.repeat(np.cumsum(counts) - counts, counts)
-            starts.append(np.repeat(edges[:-1], counts) + (np.arange(counts.sum()) - first) * size)
-            lengths.append(size)
-            owners.append(np.full(len(size), i))
-        return np.concatenate(starts), np.concatenate(lengths), np.concatenate(owners)
+        tables = [phases for phases, _ in self.patterns]
+        ends = np.tile([0.0, 2 * np.pi], (len(longest), 1))
+        edges = np.sort(np.minimum(np.concatenate([ends, *tables], axis=1), 2 * np.pi), axis=1)
+        gaps = np.diff(edges, axis=1)
+        counts = np.ceil(gaps / longest[:, None]).astype(int)  # none for an empty gap
+        flat = counts.ravel()
+        size = np.repeat(np.divide(gaps, counts, out=np.zeros_like(gaps), where=counts > 0).ravel(), flat)
+        order = np.arange(flat.sum()) - np.repeat(np.cumsum(flat) - flat, flat)
+        owner = np.repeat(np.repeat(np.arange(len(longest)), gaps.shape[1]), flat)
+        return np.repeat(edges[:, :-1].ravel(), flat) + order * size, size, owner
 
     def at(self, phases: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Port slope w' (P, q, m, k) at phases (P, q); each row of phases lies inside one contact mode."""
@@ -257,7 +255,7 @@ def monodromy(problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, fl
         groups.setdefault(id(part), []).append(i)
     for key, members in groups.items():
         part = parts[key]
-        flow = _Flow(part.A - part.B @ part.S @ part.C, part.B, part.C)
+        flow = problem.remember(part, lambda part=part: _Flow(part.A - part.B @ part.S @ part.C, part.B, part.C))
         for start in range(0, len(members), 64):
             chunk = members[start : start + 64]
             matrices[chunk], defects[chunk] = _chunk(problem, flow, part, [orbits[i] for i in chunk])

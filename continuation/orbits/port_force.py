@@ -50,7 +50,7 @@ class PortForces:
 
     def _add_contact(self, i: int, Y: np.ndarray, vector: np.ndarray, W: np.ndarray, slope: np.ndarray) -> None:
         contact, n = self.ports.system.contacts[i], self.period_multiple
-        gain, d = _trim(self.ports.forcing(vector).gain[i]), self.ports.linear(vector).d[i]
+        gain, d = self.ports.forcing(vector).gain[i], self.ports.linear(vector).d[i]
         a = _trim(self.argument(i, Y, vector))
         two_sided = np.concatenate([a[:0:-1].conj(), a])
         pattern = series.find_pattern(a, contact)
@@ -93,6 +93,8 @@ class PortForces:
 
 
 def _trim(a: np.ndarray) -> np.ndarray:
-    """Drop trailing harmonics that are exactly zero (last axis)."""
-    used = np.flatnonzero(np.abs(a).reshape(-1, a.shape[-1]).max(axis=0, initial=0.0))
-    return a[..., : (used[-1] + 1 if used.size else 1)]
+    """Drop trailing harmonics that are exactly zero."""
+    if a[-1] != 0:
+        return a
+    used = np.flatnonzero(a)
+    return a[: (used[-1] + 1 if used.size else 1)]

@@ -24,6 +24,7 @@ class Receptance:
     part : LinearPart
     poles : complex array (n,), or None where the modal form is ill-conditioned
     modes, modes_inverse : complex arrays (n, n)
+    left, right : complex arrays (k, n) and (n, m), C modes and modes^-1 B
     static : array (n, n), the inverse of M_0
     """
 
@@ -33,6 +34,8 @@ class Receptance:
     poles: np.ndarray | None
     modes: np.ndarray
     modes_inverse: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
 
     def stiffness(self, k: np.ndarray) -> np.ndarray:
         """Return S_k, shape (K, m, k), for harmonic orders k >= 0."""
@@ -50,13 +53,15 @@ class Receptance:
             x = np.linalg.solve(matrix, x)
         return x
 
-    def ports(self, s: np.ndarray) -> np.ndarray:
-        """Return ``C M(s)^-1 B`` for s (K,), all nonzero; shape (K, k, m). Cost O(K n k m) in modal form."""
+    def ports(self, s: np.ndarray, power: int = 1) -> np.ndarray:
+        """Return ``C M(s)^-power B`` for s (K,), all nonzero; shape (K, k, m). Cost O(K n k m) in modal form."""
         part = self.part
         if self.poles is None:
-            return part.C @ self.solve(s, part.B)
-        left, right = part.C @ self.modes, self.modes_inverse @ part.B
+            return part.C @ self.solve(s, part.B, power)
+        left, right = self.left, self.right
         gain = 1.0 / (s[:, None] - self.poles)
+        if power != 1:
+            gain **= power
         if left.shape[0] == 1 and right.shape[1] == 1:
             return (gain @ (left[0] * right[:, 0]))[:, None, None]
         return (left * gain[:, None, :]) @ right
@@ -84,4 +89,5 @@ def receptance(part: LinearPart) -> Receptance:
     modal = np.linalg.cond(modes) < _MODAL_LIMIT
     if modal:
         inverse = np.linalg.inv(modes)
-    return Receptance(part, shifted, np.linalg.inv(at_rest), poles if modal else None, modes, inverse)
+    static = np.linalg.inv(at_rest)
+    return Receptance(part, shifted, static, poles if modal else None, modes, inverse, C @ modes, inverse @ B)

@@ -67,8 +67,10 @@ def operator(
     array ((2K-1) k, (2 columns-1) k), or (2K k, 2 columns k) when ``half``
     """
     K, k, _ = transfer.shape
-    minus, plus = _indices(K, columns, half)
     L = len(slope) // 2
+    if k == slope.shape[1] == 1:
+        return _scalar_operator(transfer[:, 0, 0], slope[:, 0, 0], shift[:, 0, 0], columns, half)
+    minus, plus = _indices(K, columns, half)
     P, Q = _times(transfer, slope[L + minus]), _times(transfer, slope[L + plus])
     diagonal = np.arange(min(K, columns))
     P[diagonal, diagonal] += _times(transfer[:, None], shift[:, None])[diagonal, 0]
@@ -78,6 +80,23 @@ def operator(
     if half:
         return _real_blocks(P, Q, k)
     return _bordered_blocks(P, Q, k)
+
+
+def _scalar_operator(
+    transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, columns: int, half: bool
+) -> np.ndarray:
+    """The same for one port, with the Toeplitz and Hankel tables as views of the coefficients."""
+    K, L = len(transfer), len(slope) // 2
+    stride = slope.strides[0]
+    view = np.lib.stride_tricks.as_strided
+    toeplitz = view(slope[L:], (K, columns), (stride, -stride), writeable=False)  # reaches back to L - columns + 1
+    hankel = view(slope[L + int(half) :], (K, columns), (stride, stride), writeable=False)
+    column = -transfer[:, None]
+    P, Q = column * toeplitz, column * hankel
+    diagonal = np.arange(min(K, columns))
+    P[diagonal, diagonal] += 1.0 - (transfer * shift)[: len(diagonal)]
+    P, Q = P[:, None, :, None], Q[:, None, :, None]
+    return _real_blocks(P, Q, 1) if half else _bordered_blocks(P, Q, 1)
 
 
 def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
