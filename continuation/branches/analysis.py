@@ -32,19 +32,22 @@ def analyse(
     progress: Callable[[float, str], None] | None,
 ) -> Branch:
     """Return the Branch of corrected nodes with located special points."""
-    if progress is not None:
-        progress(1.0, f"{len(nodes)} orbits; searching special points")
     notes: list[str] = []
     located: list[Located] = []
-    if len(nodes) > 1:
-        nodes, suspects, notes = screen(problem, nodes, metric)
-        notes += _vertical(problem, nodes)
-        for suspect in _with_turns(problem, nodes, metric, suspects):
-            found = locate(suspect)
-            if isinstance(found, Located):
-                located.append(found)
-            elif found:
-                notes.append(found)
+    try:
+        if progress is not None:
+            progress(1.0, f"{len(nodes)} orbits; searching special points")
+        if len(nodes) > 1:
+            nodes, suspects, notes = screen(problem, nodes, metric)
+            notes += _vertical(problem, nodes)
+            for suspect in _with_turns(problem, nodes, metric, suspects):
+                found = locate(suspect)
+                if isinstance(found, Located):
+                    located.append(found)
+                elif found:
+                    notes.append(found)
+    except KeyboardInterrupt:
+        stop += "; interrupted while special points were searched: the orbits are kept, points may be missing"
     place = {id(n): i for i, n in enumerate(nodes)}
     nodes = [n if np.isfinite(n.error) else replace(n, error=problem.adapt(n.u, n.p)[1]) for n in nodes]
     located = _once(located, metric)

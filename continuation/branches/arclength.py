@@ -31,6 +31,20 @@ class Limits:
     smallest: float
     points: int
 
+    @classmethod
+    def of(
+        cls, span: tuple[float, float], step: float | None, max_step: float | None, points: int, parts: float = 200.0
+    ) -> Limits:
+        """Fill in default steps, 1/parts and 1/40 of the span, and check the ones given (ValueError)."""
+        for name, value in (("step", step), ("max_step", max_step)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: expected a positive number or None, got {value}")
+        if points < 2:
+            raise ValueError(f"max_points: expected a whole number >= 2, got {points}")
+        width = span[1] - span[0]
+        largest = width / 40 if max_step is None else max_step
+        return cls(span, min(width / parts if step is None else step, largest), largest, width * 1e-7, points)
+
 
 def trace(
     problem: Any,
@@ -76,7 +90,7 @@ def trace(
     began = time.perf_counter()
     low, high = check_span(span, start.value)
     width = high - low
-    limits = Limits((low, high), step or width / 200, max_step or width / 40, width * 1e-7, max_points)
+    limits = Limits.of((low, high), step, max_step, max_points)
     u, p = problem.unknown(start), start.value
     metric = Metric(max(float(np.linalg.norm(u)), 1e-3), width)
     first = start_node(problem, u, p, metric)
@@ -123,15 +137,26 @@ def check_span(span: tuple[float, float], value: float) -> tuple[float, float]:
 
 
 def start_node(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
-    """Correct the start at fixed parameter, at the resolution it asks for."""
-    fixed = 1.0
-    node = correct(problem, (u, p), (np.zeros_like(u), fixed), metric, iterations=30)
+    """Correct the start at fixed parameter, or across the branch where that is singular, at the resolution it needs."""
+    node = _corrected(problem, u, p, metric)
     for _ in range(12):
         longer, error = problem.adapt(node.u, node.p)
         if len(longer) <= len(node.u):
             break
-        node = correct(problem, (longer, p), (np.zeros_like(longer), fixed), metric, iterations=30)
+        node = _corrected(problem, longer, node.p, metric)
     return replace(node, error=error)
+
+
+def _corrected(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
+    try:
+        return correct(problem, (u, p), (np.zeros_like(u), 1.0), metric, iterations=30)
+    except NoConvergence as failure:
+        _, J, Fp = problem.linearise(u, p)
+        null = np.linalg.svd(np.column_stack([J * metric.size, Fp * metric.span]))[2][-1]
+        node = correct(problem, (u, p), (null[:-1] * metric.size, null[-1] * metric.span), metric, iterations=30)
+        if abs(node.p - p) > 1e-3 * metric.span:
+            raise failure
+        return node
 
 
 def _walk(

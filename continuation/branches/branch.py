@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -84,6 +85,10 @@ class Branch:
     work: Mapping[str, float]
     provenance: Mapping[str, str]
     unresolved: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("work", "provenance"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __len__(self) -> int:
         return len(self.orbits)

@@ -53,7 +53,7 @@ def switch(
     problem = _doubling_problem(point)
     low, high = check_span(span, point.parameter)
     width = high - low
-    limits = Limits((low, high), step or width / 500, max_step or width / 40, width * 1e-8, max_points)
+    limits = Limits.of((low, high), step, max_step, max_points, parts=500.0)
     u, null = null_vector(point)
     doubled = problem.method.discretise(
         problem.system, problem.parameter, period_multiple=2 * problem.period_multiple, **problem.values

@@ -95,7 +95,7 @@ def track(
     value = point.problem.values[second]
     low, high = check_span(span[second], value)
     width = high - low
-    limits = Limits((low, high), step or width / 200, max_step or width / 40, width * 1e-7, max_points)
+    limits = Limits.of((low, high), step, max_step, max_points)
     extended = ExtendedProblem(point, second)
     start = np.append(point.problem.unknown(point.orbit), point.parameter)
     metric = Metric(max(float(np.linalg.norm(start)), 1e-3), width)

@@ -154,7 +154,7 @@ def _polish(
     own = arguments[owner]
     weights = np.stack([np.where(k == 0, 1.0, 2.0), 2j * k], axis=1)
     phase = low - left * (high - low) / (right - left)
-    for _ in range(12):
+    for _ in range(60):  # near grazing Newton only halves the error
         value, slope = ((np.exp(1j * np.multiply.outer(phase, k)) * own) @ weights).real.T
         value = value - level
         same = (value > 0) == (left > 0)

@@ -24,9 +24,10 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
     flow = monodromy(problem, [(u, p) for u, p, _ in points])
     moved = []
     for u, p, _ in points:
-        step = problem.correction(u, p)
+        estimate = problem.estimate(u, p)
+        step = estimate.step
         longer = resize(u, k, (len(step) // k - 1) // 2)
-        moved.append((longer + step, p))
+        moved.append((longer + step, p + estimate.dp))
     other = monodromy(problem, moved)
     mu, shifted = multipliers(flow.matrices), multipliers(other.matrices)
     orbits = []

@@ -17,6 +17,7 @@ from continuation.orbits.receptance import Receptance, receptance
 from continuation.orbits.spectrum import operator, pack, resize, unpack
 
 _REMEMBERED = 1024  # error estimates kept
+_FOLD = 100.0  # ratio of the error at fixed parameter to the shortest way back that tells a fold is close
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,22 @@ class HarmonicBalance:
         return HarmonicBalanceProblem(self, system, parameter, period_multiple, values)
 
 
+@dataclass(frozen=True, slots=True)
+class _Estimate:
+    """First-order error of a point (u, p): what the harmonics left out would add and change.
+
+    ``step`` (twice the harmonics) and ``dp`` are the shortest way back to the branch, ``shortest`` its size in the
+    waveform; ``error`` is the error at fixed parameter, or ``shortest`` next to a fold, where that is no measure.
+    ``states`` are the state harmonics of u, whose loads are known here.
+    """
+
+    step: np.ndarray
+    dp: float
+    shortest: float
+    error: float
+    states: np.ndarray
+
+
 class HarmonicBalanceProblem:
     """Condensed harmonic-balance equations of one System in one parameter; see :class:`HarmonicBalance`.
 
@@ -88,9 +105,9 @@ class HarmonicBalanceProblem:
         self._receptance: tuple[LinearPart, Receptance] | None = None
         self._derived: tuple[LinearPart, Any] | None = None
         self._vector: tuple[float, np.ndarray] | None = None
-        self._last: tuple[np.ndarray, float, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, float, np.ndarray, np.ndarray] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
-        self._corrections: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._corrections: dict[bytes, _Estimate] = {}
         self.evaluations = self.factorisations = 0
 
     # ---------------------------------------------------------------- parameters and linear part
@@ -123,10 +140,10 @@ class HarmonicBalanceProblem:
             self._receptance = (part, receptance(part))
         return self._receptance[1]
 
-    def remember(self, part: LinearPart, make: Callable[[], Any]) -> Any:
+    def remember(self, part: LinearPart, make: Callable[[LinearPart], Any]) -> Any:
         """Return what was made of a linear part before, or make it; one such thing is kept per problem."""
         if self._derived is None or self._derived[0] is not part:
-            self._derived = (part, make())
+            self._derived = (part, make(part))
         return self._derived[1]
 
     def transfer(self, p: float, orders: np.ndarray) -> np.ndarray:
@@ -179,8 +196,9 @@ class HarmonicBalanceProblem:
         force = self.forces(Y, self.vector(p), H, 2 * H)
         R, transfer, V, driven = self._balance(Y, force.W, p)
         J = operator(transfer, force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
-        self._last = (u, p, J)
-        return pack(R), J, self._parameter_derivative(u, p, driven, V)
+        Fp = self._parameter_derivative(u, p, driven, V)
+        self._last = (u, p, J, Fp)
+        return pack(R), J, Fp
 
     def _parameter_derivative(self, u: np.ndarray, p: float, load: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Return dF/dp: analytic for a frequency that acts through the phase, else central differences of F."""
@@ -207,20 +225,16 @@ class HarmonicBalanceProblem:
         return operator(self.transfer(p, orders), slope, self.receptance(p).stiffness(orders), K, half=True)
 
     # ---------------------------------------------------------------- error and resolution
-    def correction(self, u: np.ndarray, p: float) -> np.ndarray:
-        """Return the estimated error of u, a vector with twice the harmonics, to first order in what was left out.
-
-        Cost about one Newton step; remembered for the points of one branch.
-        """
+    def estimate(self, u: np.ndarray, p: float) -> _Estimate:
+        """Return the error estimate of (u, p); cost about one Newton step, remembered for the points of one branch."""
         key = _key(u, p)
         if key not in self._corrections:
             if len(self._corrections) >= _REMEMBERED:
                 self._corrections.clear()
             self._corrections[key] = self._correction(u, p)
-        return self._corrections[key][0]
+        return self._corrections[key]
 
-    def _correction(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the correction, and the state harmonics of u, whose loads are known here."""
+    def _correction(self, u: np.ndarray, p: float) -> _Estimate:
         k = self.ports.outputs
         Y = unpack(u, k)
         H, n = len(Y) - 1, 2 * len(Y)
@@ -238,25 +252,34 @@ class HarmonicBalanceProblem:
         added = np.einsum("klab,lb->ka", force.slope[minus], tail[H + 1 :])
         added += np.einsum("klab,lb->ka", force.slope[plus], tail[H + 1 :].conj())
         low = (transfer[: H + 1] @ added[..., None])[..., 0]
-        J = self._jacobian(u, p, transfer[: H + 1], force.slope)
+        J, Fp = self._linearised(u, p)
         self.factorisations += 1
-        tail[: H + 1] = unpack(np.linalg.solve(J, pack(low)), k)
-        return pack(tail), self._recover(p, V[: H + 1], driven)
+        across = np.linalg.solve(J, np.stack([pack(low), Fp], axis=1))
+        # shortest change of (u, p) instead of the one at fixed p, so that it stays finite at folds
+        x, y = across.T * max(abs(p), 1e-3) ** np.array([[0], [1]])
+        dp = float(x @ y) / (float(y @ y) + max(float(u @ u), 1e-12))
+        tail[: H + 1] = unpack(x, k)
+        fixed = self._size(pack(tail))
+        tail[: H + 1] = unpack(x - dp * y, k)
+        step = pack(tail)
+        shortest = self._size(step)
+        error = fixed if fixed < _FOLD * shortest else shortest
+        return _Estimate(step, dp * max(abs(p), 1e-3), shortest, error, self._recover(p, V[: H + 1], driven))
 
-    def _jacobian(self, u: np.ndarray, p: float, transfer: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Return dF/du, the one of the last Newton step where that was close by."""
+    def _linearised(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return dF/du and dF/dp, the ones of the last Newton step where that was close by."""
         last = self._last
         if last is not None and len(last[0]) == len(u):
             moved = np.linalg.norm(last[0] - u) / max(float(np.linalg.norm(u)), 1e-12) + abs(last[1] - p) / abs(
                 p or 1.0
             )
             if moved < 1e-4:
-                return last[2]
-        return operator(transfer, slope, self.receptance(p).stiffness(np.arange(len(transfer))), len(transfer))
+                return last[2], last[3]
+        return self.linearise(u, p)[1:]
 
     def error(self, u: np.ndarray, p: float) -> float:
         """Return the estimated largest error of the waveform of the port arguments."""
-        return self._size(self.correction(u, p))
+        return self.estimate(u, p).error
 
     def _size(self, u: np.ndarray) -> float:
         Y = np.abs(unpack(u, self.ports.outputs)).sum(axis=1)
@@ -267,14 +290,14 @@ class HarmonicBalanceProblem:
 
         A longer vector already carries the estimated correction, so that Newton has little left to do.
         """
-        step = self.correction(u, p)
-        error, k, method = self._size(step), self.ports.outputs, self.method
+        estimate, k, method = self.estimate(u, p), self.ports.outputs, self.method
+        error = estimate.error
         if method.harmonics is not None:
             return u, error
         H = (len(u) // k - 1) // 2
         goal = method.tolerance * max(float(np.linalg.norm(u)), 1e-12)
         if error > goal and method.max_harmonics > H:
-            return resize(resize(u, k, 2 * H + 1) + step, k, min(2 * H + 1, method.max_harmonics)), error
+            return resize(resize(u, k, 2 * H + 1) + estimate.step, k, min(2 * H + 1, method.max_harmonics)), error
         half = (H - 1) // 2
         if H > 7 and self._size(u - resize(resize(u, k, half), k, H)) < goal / 10:
             return resize(u, k, half), error
@@ -291,13 +314,12 @@ class HarmonicBalanceProblem:
         H = (len(u) // k - 1) // 2
         if self.method.max_harmonics <= H:
             return None
-        return resize(resize(u, k, 2 * H + 1) + self.correction(u, p), k, 2 * H + 1)
+        return resize(resize(u, k, 2 * H + 1) + self.estimate(u, p).step, k, 2 * H + 1)
 
     # ---------------------------------------------------------------- orbits
     def state_spectrum(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return the half spectrum (H+1, n) of all states, recovered exactly from the port forces."""
-        self.correction(u, p)
-        return self._corrections[_key(u, p)][1]
+        return self.estimate(u, p).states
 
     def unknown(self, orbit: Orbit) -> np.ndarray:
         """Return the unknown vector of an orbit of this System, whatever method it came from."""

@@ -71,7 +71,7 @@ class _Flow:
         self.side = np.where(second, -1.0, 1.0)
         self.rates = values[first]
         self.column = np.searchsorted(first, kept)
-        self.C, self.B = C @ self.basis, self.inverse @ B
+        self.C, self.B, self.CA = C @ self.basis, self.inverse @ B, C @ matrix @ self.basis
         self.radius = float(np.abs(values).max(initial=0.0))
 
     def _turn(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,6 +96,10 @@ class _Flow:
             return sl.expm(t[..., None, None] * self.matrix) @ x
         growth, cos, sin = self._turn(t)
         return (growth * cos)[..., None] * x + (growth * sin)[..., None] * x[:, self.partner]
+
+
+def _flow(part: LinearPart) -> _Flow:
+    return _Flow(part.A - part.B @ part.S @ part.C, part.B, part.C)
 
 
 class _Waves:
@@ -189,8 +193,13 @@ def _series(spectra: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.nd
     return out
 
 
-def _resolve(waves: _Waves, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Halve pieces until the slope is resolved; return lengths (P,), slopes at nodes (P, q, m, k), owners (P,)."""
+def _resolve(waves: _Waves, flow: _Flow, S: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Halve pieces until the slope is resolved; return lengths (P,), slopes at nodes (P, q, m, k), owners (P,).
+
+    A piece is short enough when neither the constant part nor what the ports add to it turns by more than ``_PHASE``.
+    """
+    longest = _PHASE * omega / max(flow.radius, 1e-300)
+    direct, through = np.abs(flow.C @ flow.B).max(initial=0.0), np.abs(flow.CA @ flow.B).max(initial=0.0)
     x, _, _, transform = _collocation(_NODES)
     start, length, owner = waves.pieces(longest)
     keep = length > 0
@@ -201,7 +210,9 @@ def _resolve(waves: _Waves, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray
         values = waves.at(start[:, None] + length[:, None] * x, owner)
         size = np.abs(np.tensordot(values, transform, axes=(1, 1))).max(axis=(1, 2), initial=0.0)
         np.maximum.at(scale, owner, size.max(axis=1, initial=0.0))
-        rough = size[:, -2:].max(axis=1) > _RESOLVED * scale[owner]
+        excess = np.abs(values + S).max(axis=(1, 2, 3), initial=0.0)
+        rate = np.maximum(direct * excess, np.sqrt(through * excess))
+        rough = (size[:, -2:].max(axis=1) > _RESOLVED * scale[owner]) | (length * rate > _PHASE * omega[owner])
         if depth == _DEPTH - 1 or 2 * np.sum(rough) > _MOST_PIECES:
             rough[:] = False
         done.append((start[~rough], length[~rough], values[~rough], owner[~rough]))
@@ -255,7 +266,7 @@ def monodromy(problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, fl
         groups.setdefault(id(part), []).append(i)
     for key, members in groups.items():
         part = parts[key]
-        flow = problem.remember(part, lambda part=part: _Flow(part.A - part.B @ part.S @ part.C, part.B, part.C))
+        flow = problem.remember(part, _flow)
         for start in range(0, len(members), 64):
             chunk = members[start : start + 64]
             matrices[chunk], defects[chunk] = _chunk(problem, flow, part, [orbits[i] for i in chunk])
@@ -266,13 +277,12 @@ def _chunk(
     problem: HarmonicBalanceProblem, flow: _Flow, part: LinearPart, orbits: list[tuple[np.ndarray, float]]
 ) -> tuple[np.ndarray, np.ndarray]:
     omega = np.array([problem.frequency(p) for _, p in orbits])
-    longest = _PHASE * omega / max(flow.radius, 1e-300)
-    if 2 * np.pi / longest.min() > _MOST_PIECES:
+    if 2 * np.pi * flow.radius > _MOST_PIECES * _PHASE * omega.min():
         raise ContinuationError(
             f"monodromy matrix: the fastest mode ({flow.radius:.2e} rad per unit time) turns too often in one period; "
             "leave out or soften the stiffest linear coordinates"
         )
-    length, values, owner = _resolve(_Waves(problem, orbits), longest)
+    length, values, owner = _resolve(_Waves(problem, orbits), flow, part.S, omega)
     duration = length / omega[owner]
     weights = _collocation(_NODES)[1]
     power = duration * np.einsum("q,pqmk,km->p", weights, values, part.C @ part.B)

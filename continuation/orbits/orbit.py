@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -53,6 +54,13 @@ class Orbit:
     multiplier_error: np.ndarray = field(repr=False)
     stability: Stability
     error: float
+
+    def __post_init__(self) -> None:
+        for name in ("coefficients", "multipliers", "multiplier_error"):
+            array = np.array(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 
     @property
     def value(self) -> float:

@@ -12,6 +12,7 @@ from continuation.model.ports import LinearPart
 # Harmonics k >= 1 carry the reference stiffness S (1 + 0.5 i): with this hysteretic part, which the ports take off
 # again, no undamped resonance of a mode that the ports reach can meet a harmonic.
 _HYSTERESIS = 0.5
+_RESONANCE = 1e-13  # relative distance of a harmonic from a pole that counts as resonance
 _MODAL_LIMIT = 1e6  # condition number of the modal matrix above which matrices are solved directly
 
 
@@ -59,7 +60,13 @@ class Receptance:
         if self.poles is None:
             return part.C @ self.solve(s, part.B, power)
         left, right = self.left, self.right
-        gain = 1.0 / (s[:, None] - self.poles)
+        gap = s[:, None] - self.poles
+        if np.any(np.abs(gap) <= _RESONANCE * np.abs(s[:, None])):
+            raise SingularLinearPart(
+                f"an undamped mode that no nonlinear port reaches resonates at {np.abs(s).min():.6g} rad per unit time "
+                "or a harmonic of it, so no periodic orbit exists; add damping or move the frequency"
+            )
+        gain = 1.0 / gap
         if power != 1:
             gain **= power
         if left.shape[0] == 1 and right.shape[1] == 1:
