@@ -106,7 +106,6 @@ def response(
     with _guarded():
         check_range(start, stop)
         check_smoothing(smoothing)
-        _writable(json_file)
         from sbg_casadi.study import run_response
 
         code = run_response(
@@ -133,7 +132,6 @@ def study(
     """Compare the states before and after a modification: responses, stability, sweeps, figure and summary."""
     with _guarded():
         check_range(start, stop)
-        _writable(json_file)
         from sbg_casadi.study import run_study
 
         raise typer.Exit(run_study(pair, out=out, start=start, stop=stop, json_file=json_file, console=_console()))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import numpy as np
 
 from continuation.branches.branch import Branch
 from continuation.errors import ContinuationError
+from continuation.model.compiled import compiled_march
 from continuation.timedomain.parallel import up_and_down
 from continuation.timedomain.sweep import Sweep
 from sbg_casadi.crosscheck import cross_check
@@ -164,17 +164,21 @@ def study_state(
     d = pair.dimensionless(state)
     problem, branch = trace_response(d, span, report=progress.task(f"{state}: tracing"))
     report = progress.task(f"{state}: sweeps")
+    system = gear_system(d)
+    march, note = compiled_march(system, min(span))
     sweeps = up_and_down(
-        gear_system(d),
+        system,
         PARAMETER,
         np.linspace(*span, sweep_points),
         quantity=STATE,
         start=static_state(d),
+        march=march,
         progress=lambda done, total: report(done / total, f"{done} of {total} frequencies"),
     )
     document = response_document(branch, pair, state, 0.0, span[1]) | {
         "stiffness_peak_to_peak": peak_to_peak(d.stiffness_cosine, d.stiffness_sine),
         "cross_check": cross_check(problem, branch, sweeps),
+        "compiler": {"used": bool(march), "note": note},
     }
     return StateResult(state, branch, sweeps, document)
 
@@ -191,7 +195,7 @@ def study_document(pair: Pair, span: tuple[float, float], results: list[StateRes
         "assumed": [row._asdict() for row in pair.rows() if row.source == "assumed"],
         "states": [r.document for r in results],
         "comparison": comparison([r.document for r in results]),
-        "computation": _computation(),
+        "computation": _computation([r.document["compiler"] for r in results]),
     }
 
 
@@ -216,11 +220,12 @@ def _summary(document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _computation() -> str:
-    """Say what ran and whether a C compiler had a part in it."""
-    found = next((path for name in ("cc", "gcc", "clang") if (path := shutil.which(name))), None)
-    compiler = f"a C compiler ({found}) is there and was not used" if found else "there is no C compiler here"
-    return f"Sweeps ran with CVODES of SUNDIALS through CasADi, without compiling; {compiler}."
+def _computation(compilers: list[dict[str, Any]]) -> str:
+    """Say what ran and what part a C compiler had in it."""
+    notes = "; ".join(dict.fromkeys(c["note"] for c in compilers))
+    if all(c["used"] for c in compilers):
+        return f"Sweeps: transients {notes}, then CVODES of SUNDIALS through CasADi."
+    return f"Sweeps ran with CVODES of SUNDIALS through CasADi alone ({notes}); a C compiler would shorten the transients."
 
 
 def _write(place: Path, document: dict[str, Any], results: list[StateResult], pair: Pair, extra: str | None) -> None:

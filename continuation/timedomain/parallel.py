@@ -34,6 +34,7 @@ def up_and_down(
     limit: int = 400,
     recorded: int = 64,
     tolerance: float = 1e-7,
+    march: str = "",
     workers: int = 2,
     progress: Progress | None = None,
 ) -> tuple[Sweep, Sweep]:
@@ -62,7 +63,7 @@ def up_and_down(
     sweeps run here.
     """
     ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))
-    settings = (quantity, method, start, transient, limit, recorded, tolerance)
+    settings = (quantity, method, start, transient, limit, recorded, tolerance, march)
     tasks = [task(system, parameter, v, *settings) for v in (ordered, ordered[::-1])]
     up, down = run_all(tasks, workers, progress)
     return up, down

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 
 from continuation.errors import ContinuationError, nearest
@@ -15,6 +16,9 @@ from continuation.timedomain.settling import Settled, Settling
 from continuation.timedomain.sweep_result import FAILED, Sweep, describe_waveform
 
 logger = logging.getLogger(__name__)
+
+_APPROACH = 50  # excitation periods in compiled code before CVODES takes over
+_FAR = 1e8
 
 Progress = Callable[[int, int], None]
 """Called with the number of values done and of all values."""
@@ -37,6 +41,7 @@ class SweepTask:
     limit: int
     recorded: int
     tolerance: float
+    march: str = ""
 
     def __post_init__(self) -> None:
         for name, known in ((self.parameter, self.model.parameter_names), (self.quantity, self.model.state_names)):
@@ -57,9 +62,11 @@ class SweepTask:
         integrator = self.method.compile(self.model)
         p = np.array(self.model.defaults)
         index, column = self.model.parameter_names.index(self.parameter), self.model.state_names.index(self.quantity)
+        march = ca.external("march", self.march) if self.march else None
         x, rows = np.array(self.start), []
         for value in self.values:
             p[index] = value
+            x = _approach(march, x, p) if march else x
             settling = Settling(
                 lambda state: integrator.period(state, p),
                 tolerance=self.tolerance,
@@ -91,7 +98,7 @@ class SweepTask:
             system=self.model.name,
             parameter=self.parameter,
             quantity=self.quantity,
-            method=repr(self.method),
+            method=repr(self.method) + (f" after {_APPROACH} periods of compiled Runge-Kutta" if self.march else ""),
             fixed=fixed,
             state_names=self.model.state_names,
             values=np.array(self.values),
@@ -101,6 +108,15 @@ class SweepTask:
             states=np.array([r.state if r else nothing for r, _, _ in rows]),
             failures=tuple(text for _, _, text in rows),
         )
+
+
+def _approach(march: ca.Function, x: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """Bring a state close to its attractor in compiled code; the state given where that leaves the finite numbers."""
+    end = x
+    for _ in range(_APPROACH):
+        end = march(end, p)
+    result = np.array(end, dtype=float).ravel()
+    return result if np.all(np.isfinite(result)) and np.abs(result).max() < _FAR else x
 
 
 def sweep(
@@ -115,6 +131,7 @@ def sweep(
     limit: int = 400,
     recorded: int = 64,
     tolerance: float = 1e-7,
+    march: str = "",
     progress: Progress | None = None,
 ) -> Sweep:
     """Compute the brute-force response over parameter values in the given order.
@@ -139,6 +156,9 @@ def sweep(
         Excitation periods the statistics describe when the response is not recognised as periodic.
     tolerance : float
         Distance to the periodic response, over the largest value of each state, at which it counts as settled.
+    march : str
+        Library of :func:`~continuation.model.compiled.compiled_march`: every value then begins with 50 periods in
+        compiled code, and CVODES, which decides, has less to do. Empty: CVODES alone.
     progress : callable, optional
         Called with the number of values done and of all values.
 
@@ -165,7 +185,8 @@ def sweep(
     >>> up.period.tolist(), [round(float(r), 7) for r in up.rms]        # 1/abs(1 - omega^2 + 0.2i omega)/sqrt(2)
     ([1, 1], [0.9345386, 0.2336347])
     """
-    return task(system, parameter, values, quantity, method, start, transient, limit, recorded, tolerance).run(progress)
+    settings = (quantity, method, start, transient, limit, recorded, tolerance, march)
+    return task(system, parameter, values, *settings).run(progress)
 
 
 def task(
@@ -179,9 +200,10 @@ def task(
     limit: int,
     recorded: int,
     tolerance: float,
+    march: str = "",
 ) -> SweepTask:
     """Return the plain description of a sweep; arguments as for :func:`sweep`."""
     begin = np.zeros(len(system.state_names)) if start is None else np.asarray(start, dtype=float)
     model, plain = DrivenModel.of(system), tuple(float(v) for v in np.ravel(values))
-    settings = (quantity, tuple(begin.tolist()), transient, limit, recorded, tolerance)
+    settings = (quantity, tuple(begin.tolist()), transient, limit, recorded, tolerance, march)
     return SweepTask(model, method or CVODES(), parameter, plain, *settings)
