@@ -11,7 +11,7 @@ import numpy as np
 
 from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
-from continuation.branches.newton import Metric, Node, correct
+from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.errors import NoConvergence
 from continuation.orbits.orbit import Orbit
 
@@ -92,7 +92,7 @@ def trace(
     width = high - low
     limits = Limits.of((low, high), step, max_step, max_points)
     u, p = problem.unknown(start), start.value
-    metric = Metric(max(float(np.linalg.norm(u)), 1e-3), width)
+    metric = Metric(size_of(u), width)
     first = start_node(problem, u, p, metric)
     nodes, stop = walk(problem, first, span, limits, metric, progress)
     return analyse(problem, nodes, metric, stop, began, progress)

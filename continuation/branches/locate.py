@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import brentq
 
 from continuation.branches.branch import Kind
 from continuation.branches.curve import Segment
@@ -16,6 +17,7 @@ from continuation.errors import NoConvergence
 
 _GOAL = 1e-9  # wanted error, relative to the size of the parameter
 _ROOT = 2e-11  # where the secant stops, relative likewise
+_CLOSER = (0.1, 0.02, 0.004)  # of the segment, distances of true points from a branch point
 _REACH = 0.5  # how far outside its segment a root may lie (multipliers and operator are discretised differently)
 
 
@@ -40,6 +42,8 @@ def locate(suspect: Suspect) -> Located | str:
     reason = ""
     for x0 in (suspect.x, 0.5, 0.0, 1.0):
         try:
+            if kind == "branch-point":
+                return _branch_point(segment, test, x0)
             return _rising(segment, kind, test, x0)
         except NoConvergence as failure:
             reason = str(failure)
@@ -85,7 +89,7 @@ def _tests(problem: Any, kind: Kind) -> Callable[[Node], float]:
 def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: float) -> Located:
     """Repeat the root search with twice the harmonics until the change of the parameter says it is good enough."""
     problem = segment.problem
-    scale = max(abs(segment.a.p), abs(segment.b.p), 1e-3)
+    scale = _scale(segment)
     like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
     x, node, slope = _secant(segment, test, x, like, None, scale)
     found, changes = node, []
@@ -108,8 +112,52 @@ def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: floa
     return _result(kind, found, error, segment, x)
 
 
+def _scale(segment: Segment) -> float:
+    """Return the size of the parameter on a segment; its length where the parameter passes through 0."""
+    a, b = segment.a.p, segment.b.p
+    return max(abs(a), abs(b)) or 1.0
+
+
+def _branch_point(segment: Segment, test: Callable[[Node], float], x: float) -> Located:
+    """Locate a branch point at rising resolution, like the other kinds (see :func:`_between`)."""
+    problem, scale = segment.problem, _scale(segment)
+    like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
+    x, node, spread = _between(segment, test, x, like)
+    changes: list[float] = []
+    error = spread + problem.point_error(node, "branch-point")
+    while error > _GOAL * scale and (longer := problem.refined(node.u, node.p)) is not None:
+        x, finer, spread = _between(segment, test, x, longer)
+        changes.append(abs(finer.p - node.p))
+        node, error = finer, _extrapolated(changes) + spread
+    return _result("branch-point", node, error + _ROOT * scale, segment, x)
+
+
+def _between(segment: Segment, test: Callable[[Node], float], x: float, like: np.ndarray) -> tuple[float, Node, float]:
+    """Return coordinate, node and last change of the parameter of a branch point, from true points closer and closer.
+
+    At the point itself the bordered Jacobian is singular and Newton's method fails; but the branch passes smoothly, so
+    the cubic through two true points a distance d away misses it by d^4.
+    """
+    found: list[Node] = []
+    for reach in _CLOSER:
+        ends = [segment.node(float(np.clip(x + side * reach, -_REACH, 1 + _REACH)), like) for side in (-1, 1)]
+        inner = Segment(segment.problem, segment.metric, *ends)
+
+        def at(y: float, inner: Segment = inner) -> Node:
+            (u, p), (du, dp) = inner.at(np.array([y]))[0], inner.direction(y)
+            size = inner.metric.length(du, dp)
+            return Node(u, p, du / size, dp / size, inner.a.sign, 0)
+
+        if test(at(0.0)) * test(at(1.0)) > 0:
+            raise NoConvergence("no sign change between true points on both sides")
+        y = float(brentq(lambda y, at=at: test(at(y)), 0.0, 1.0, xtol=1e-13))
+        found.append(at(y))
+        x += reach * (2 * y - 1)
+    return x, found[-1], abs(found[-1].p - found[-2].p)
+
+
 def _result(kind: Kind, node: Node, error: float, segment: Segment, x: float) -> Located:
-    good = error <= 1e-8 * max(1.0, abs(node.p))
+    good = error <= 3 * _GOAL * _scale(segment)
     note = "" if good else "more harmonics are needed for an error below 1e-8"
     return Located(kind, node, error, segment, x, "located" if good else "guessed", note)
 

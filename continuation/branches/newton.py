@@ -32,6 +32,12 @@ class Problem(Protocol):
         ...
 
 
+def size_of(u: np.ndarray) -> float:
+    """Return the norm of an unknown, or 1 for an orbit at rest."""
+    size = float(np.linalg.norm(u))
+    return size if size > 1e-12 else 1.0
+
+
 @dataclass(frozen=True, slots=True)
 class Metric:
     """Arclength ds^2 = |du|^2 / size^2 + dp^2 / span^2."""

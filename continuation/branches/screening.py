@@ -23,6 +23,7 @@ _FIRST = np.linspace(0.0, 1.0, 5)
 _LEVELS = 14
 _SAFETY = 1.5  # |value| must exceed this times the distance between chord and cubic
 _ROUNDS = 40
+_NEUTRAL = 1e-8  # |1 - mu_i mu_j| that is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,23 +47,35 @@ def tests(matrices: np.ndarray) -> np.ndarray:
     n = matrices.shape[-1]
     mu = np.linalg.eigvals(matrices)
     i, j = np.triu_indices(n, 1)
-    torus = np.prod(1 - mu[:, i] * mu[:, j], axis=1).real if n > 2 else np.ones(len(mu))
+    torus = np.prod(1 - mu[:, i] * mu[:, j], axis=1).real if n > 1 else np.ones(len(mu))
     return np.stack([np.prod(1 - mu, axis=1).real, np.prod(1 + mu, axis=1).real, torus], axis=1)
+
+
+def _neutral(matrices: np.ndarray) -> bool:
+    """Tell whether multipliers come in pairs mu, 1/mu all along, as without damping."""
+    mu = np.linalg.eigvals(matrices)
+    i, j = np.triu_indices(mu.shape[1], 1)
+    if not i.size:
+        return False
+    return bool(np.median(np.abs(1 - mu[:, i] * mu[:, j]).min(axis=1)) < _NEUTRAL)
 
 
 def screen(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Node], list[Suspect], list[str]]:
     """Return the nodes with inserted ones, the isolated sign changes in order, and notes on what stayed unresolved."""
     notes: list[str] = []
-    at_nodes = tests(problem.monodromies([(n.u, n.p) for n in nodes]))
+    matrices = problem.monodromies([(n.u, n.p) for n in nodes])
+    at_nodes = tests(matrices)
+    neutral = _neutral(matrices)
+    if neutral:
+        notes.append("the model has no damping: torus points are not looked for, products of multipliers are always 1")
     pending = [Segment(problem, metric, a, b) for a, b in pairwise(nodes)]
     known = {id(n): v for n, v in zip(nodes, at_nodes, strict=True)}
-    extra: dict[int, list[Node]] = {}
     suspects: list[Suspect] = []
     final: list[Segment] = []
     for round_number in range(_ROUNDS):
         if not pending:
             break
-        sampled = _sample(problem, pending, known)
+        sampled = _sample(problem, pending, known, neutral)
         pending = []
         for s in sampled:
             cuts = _cuts(s)
@@ -79,26 +92,31 @@ def screen(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Node],
                 final.append(s.segment)
             else:
                 pending += pieces
-    del extra
     return _chain(nodes, final), _ordered(suspects, final, nodes), notes
 
 
-def _sample(problem: Any, segments: list[Segment], known: dict[int, np.ndarray]) -> list[_Samples]:
+def _sample(problem: Any, segments: list[Segment], known: dict[int, np.ndarray], neutral: bool) -> list[_Samples]:
     """Sample all segments on the interpolated branch, bisecting where a test function may reach zero."""
+
+    def evaluate(points: list[tuple[np.ndarray, float]]) -> np.ndarray:
+        values = tests(problem.monodromies(points))
+        values[:, 2] = 1.0 if neutral else values[:, 2]
+        return values
+
+    def end(node: Node) -> np.ndarray:
+        return np.append(known[id(node)][:2], 1.0) if neutral else known[id(node)]
+
     inner = _FIRST[1:-1]
     points = [pt for s in segments for pt in s.at(inner)]
-    values = tests(problem.monodromies(points)).reshape(len(segments), len(inner), 3)
-    out = [
-        _Samples(s, _FIRST, np.vstack([known[id(s.a)], v, known[id(s.b)]]))
-        for s, v in zip(segments, values, strict=True)
-    ]
+    values = evaluate(points).reshape(len(segments), len(inner), 3)
+    out = [_Samples(s, _FIRST, np.vstack([end(s.a), v, end(s.b)])) for s, v in zip(segments, values, strict=True)]
     active = list(range(len(out)))
     for _ in range(_LEVELS):
         wanted = [(i, x) for i in active for x in _doubtful(out[i])]
         if not wanted:
             break
         points = [out[i].segment.at(np.array([x]))[0] for i, x in wanted]
-        values = tests(problem.monodromies(points))
+        values = evaluate(points)
         active = sorted({i for i, _ in wanted})
         for i in active:
             new = [(x, v) for (k, x), v in zip(wanted, values, strict=True) if k == i]

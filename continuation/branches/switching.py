@@ -10,7 +10,7 @@ import numpy as np
 from continuation.branches.analysis import analyse
 from continuation.branches.arclength import Limits, Progress, check_span, walk
 from continuation.branches.branch import Branch, SpecialPoint
-from continuation.branches.newton import Metric, Node
+from continuation.branches.newton import Metric, Node, size_of
 from continuation.errors import UnsupportedModel
 from continuation.orbits.spectrum import pack, unpack
 
@@ -58,7 +58,7 @@ def switch(
     doubled = problem.method.discretise(
         problem.system, problem.parameter, period_multiple=2 * problem.period_multiple, **problem.values
     )
-    metric = Metric(max(float(np.linalg.norm(u)), 1e-3), width)
+    metric = Metric(size_of(u), width)
     tu = null / metric.length(null, 0.0)
     first = Node(u, point.parameter, tu, 0.0, 1.0, 0)
     far = high if high - point.parameter >= point.parameter - low else low

@@ -10,7 +10,7 @@ import numpy as np
 
 from continuation.branches.arclength import Limits, Progress, check_span, walk
 from continuation.branches.branch import Kind, SpecialPoint
-from continuation.branches.newton import Metric, Node, correct
+from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.errors import NoConvergence, UnsupportedModel
 from continuation.orbits.curvature import form_gradient
 from continuation.orbits.orbit import Orbit
@@ -98,7 +98,7 @@ def track(
     limits = Limits.of((low, high), step, max_step, max_points)
     extended = ExtendedProblem(point, second)
     start = np.append(point.problem.unknown(point.orbit), point.parameter)
-    metric = Metric(max(float(np.linalg.norm(start)), 1e-3), width)
+    metric = Metric(size_of(start), width)
     node = _start(extended, start, value, metric)
     nodes, stop = walk(extended, node, (float(span[second][0]), float(span[second][1])), limits, metric, progress)
     orbits = []
@@ -164,7 +164,7 @@ class ExtendedProblem:
         F, J, Fp = self.at(q).linearise(u, p)
         M = J if self.kind == "fold" else self._matrix(u, p, q)
         g, v, w = self._null(M)
-        hp, hq = 3e-6 * max(1.0, abs(p)), 3e-6 * max(1.0, abs(q))
+        hp, hq = 3e-6 * (abs(p) or 1.0), 3e-6 * (abs(q) or 1.0)
 
         def moved(dp: float, dq: float) -> tuple[np.ndarray, float]:
             inner = self.at(q + dq)

@@ -25,6 +25,7 @@ from continuation.model.system import System
 
 _RANK = 1e-10  # relative singular value below which a direction does not count
 _SAMPLES = 12
+_PROBES = np.mod(np.arange(1, 9) * 2.3999632297286533, 2 * np.pi)  # phases that no regular grid meets
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,7 @@ class Ports:
         self._find_pivots()
         self._build_functions(theta, p)
         self._check_structure()
+        self._slope: np.ndarray | None = None
         self._cache: dict[str, tuple[np.ndarray, bytes, Any]] = {}
 
     def _check_contacts(self) -> None:
@@ -119,17 +121,14 @@ class Ports:
         outputs = [ca.densify(e) for e in (self._varying, self._gains, self._slopes)]
         return ca.Function("samples", [s.x, s.theta, s.p], outputs)
 
-    def _stacks(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _stacks(self, p: np.ndarray, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:
         """Sample the varying Jacobian: columns that span the port directions (n, .), rows that span the arguments."""
         rng = np.random.default_rng(0)
         n = len(self.system.state_names)
-        columns, rows = [], []
-        for _ in range(_SAMPLES):
-            values = self._sampler(rng.standard_normal(n), rng.uniform(0, 2 * np.pi), p)
-            varying, gains, slopes = (np.array(v).reshape(v.shape) for v in values)
-            columns.append(np.hstack([varying, gains]))
-            rows.append(np.vstack([varying, slopes]))
-        return np.hstack(columns), np.vstack(rows)
+        x, theta = rng.standard_normal((n, samples)), rng.uniform(0, 2 * np.pi, (1, samples))
+        varying, gains, slopes = (np.array(v).reshape(v.shape) for v in self._sampler(x, theta, p))
+        blocks = [m.reshape(len(m), samples, n).transpose(1, 0, 2) for m in (varying, slopes)]
+        return np.hstack([varying, gains]), np.concatenate([b.reshape(-1, n) for b in blocks])
 
     def _find_pivots(self) -> None:
         """Choose the states that carry the ports, at parameters a little off the defaults so that no zero hides one."""
@@ -243,13 +242,20 @@ class Ports:
         return value
 
     def _make_linear(self, p: np.ndarray) -> LinearPart:
-        columns, rows = self._stacks(p)
+        columns, rows = self._stacks(p, samples=4)  # the pivots are known, a few samples give the rest
         A = np.array(self._constant_at(p)).reshape(len(columns), -1)
         B = _interpolate(columns, self.rows)
         C = _interpolate(rows.T, self.cols).T
         slopes = np.array(self._sampler(np.zeros(len(A)), 0.0, p)[2]).reshape(len(self.system.contacts), len(A))
         d = slopes[:, self.cols]
-        return LinearPart(A, B, C, d, self._reference_slope(p, A, B, C, d))
+        # S is kept while it serves, so that the equations change smoothly with every parameter
+        if self._slope is None or _conditioning(A - B @ self._slope @ C) < 1e-9:
+            self._slope = self._reference_slope(p, A, B, C, d)
+        new = LinearPart(A, B, C, d, self._slope)
+        old = self._cache["linear"][2] if "linear" in self._cache else None
+        if old is not None and all(np.array_equal(getattr(old, k), getattr(new, k)) for k in ("A", "B", "C", "d", "S")):
+            return old  # the same object, so that what was made of it is kept
+        return new
 
     def _reference_slope(self, p: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, d: np.ndarray) -> np.ndarray:
         """Return S: minus the mean port slope with contacts closed, at the spread of y that conditions A best."""
@@ -266,30 +272,60 @@ class Ports:
             y = spread * rng.standard_normal((self.outputs, theta.size))
             slope = self.law(y, theta, p)[1]
             candidates += [-contact - slope.mean(axis=2), np.sqrt((slope**2).mean(axis=2)) - contact]
-        # a slope of zero mean would leave undamped modes without their hysteretic shift, hence the second kind
-        least = 1e-3 * max(np.abs(S).max() for S in candidates)
-        useful = [S for S in candidates if np.abs(S).max() >= least]
-        return max(useful, key=lambda S: _conditioning(A - B @ S @ C))
+        # The slope at rest is the natural one; one of zero mean would leave undamped modes without their hysteretic
+        # shift, and one that leaves A singular is no help, hence the others.
+        for S in candidates:
+            if np.abs(B @ S @ C).max() > 1e-6 * np.abs(A).max(initial=0.0) and _conditioning(A - B @ S @ C) > 1e-7:
+                return S
+        return max(candidates, key=lambda S: _conditioning(A - B @ S @ C))
+
+    def _periodic_rows(self, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Evaluate u, gains and offsets, one row each, at phases (N,)."""
+        parts = self._periodic(theta.reshape(1, -1), p)
+        return np.vstack([np.array(v).reshape(-1, theta.size) for v in parts])
+
+    def forced_order(self, p: np.ndarray) -> int:
+        """Return the highest harmonic of forcing, gains and offsets that carries more than 1e-8 of its largest."""
+        f = self.forcing(p)
+        rows = np.vstack([f.u.T, f.gain.reshape(-1, f.gain.shape[-1]), f.offset])
+        size = np.abs(rows)
+        used = np.flatnonzero((size > 1e-8 * size.max(axis=1, initial=0.0, keepdims=True)).any(axis=0))
+        return int(used[-1]) if used.size else 0
+
+    @cached_property
+    def law_order(self) -> int:
+        """Highest harmonic with which the phase enters the smooth law explicitly (0 when it does not)."""
+        if not self.smooth:
+            return 0
+        count = 2048
+        theta = 2 * np.pi * np.arange(count) / count
+        y = np.repeat(np.random.default_rng(3).standard_normal((self.outputs, 1)), count, axis=1)
+        force, slope = self.law(y, theta, self.system.parameter_vector())
+        rows = np.vstack([force, slope.reshape(-1, count)])
+        size = np.abs(np.fft.rfft(rows, axis=1))
+        used = np.flatnonzero((size > 1e-10 * size.max(axis=1, initial=0.0, keepdims=True)).any(axis=0))
+        return int(used[-1]) if used.size else 0
 
     def _make_forcing(self, p: np.ndarray) -> Forcing:
         count = 64
         while True:
             theta = 2 * np.pi * np.arange(count) / count
-            u, gain, offset = (np.array(v).reshape(-1, count) for v in self._periodic(theta.reshape(1, -1), p))
-            spectrum = np.fft.rfft(np.vstack([u, gain, offset]), axis=1) / count
-            size = np.abs(spectrum).max(axis=1, keepdims=True)
-            scale = max(size.max(initial=0.0), 1e-300)
-            tail = np.abs(spectrum[:, -count // 8 :]).max(initial=0.0)
-            if tail <= 1e-13 * scale or count >= 8192:
+            values = self._periodic_rows(theta, p)
+            spectrum = np.fft.rfft(values, axis=1) / count
+            size = np.abs(values).max(axis=1, initial=0.0, keepdims=True)
+            spectrum[np.abs(spectrum) < 1e-15 * size] = 0.0
+            miss = np.abs(_series(spectrum[:, : count // 2], _PROBES) - self._periodic_rows(_PROBES, p))
+            worst = float(np.max(miss / np.where(size > 0, size, 1.0), initial=0.0))  # each row against its own size
+            if worst <= 1e-12 or count >= 8192:
                 break
             count *= 2
-        if tail > 1e-9 * scale:
+        if worst > 1e-9:
             raise UnsupportedModel(
                 f"system {self.system.name!r}: forcing or contact gain is not a smooth function of the phase "
-                f"(harmonic {count // 2} is still {tail / scale:.1e} of the largest); write it as a Fourier series"
+                f"({count // 2} harmonics still miss it by {worst:.1e}); write it as a Fourier series"
             )
-        spectrum[np.abs(spectrum) < 1e-15 * size] = 0.0
-        last = max(int(np.flatnonzero(np.abs(spectrum).max(axis=0)).max(initial=0)), 0)
+        used = np.flatnonzero(np.abs(spectrum).max(axis=0, initial=0.0))
+        last = int(used[-1]) if used.size else 0
         spectrum = spectrum[:, : last + 1]
         n, c, m = len(self.system.state_names), len(self.system.contacts), self.inputs
         return Forcing(
@@ -297,6 +333,13 @@ class Ports:
             gain=spectrum[n : n + c * m].reshape(c, m, last + 1),
             offset=spectrum[n + c * m :],
         )
+
+
+def _series(spectrum: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Evaluate half spectra (rows, J+1) at phases (N,); returns (rows, N)."""
+    k = np.arange(spectrum.shape[1])
+    waves = np.where(k == 0, 1.0, 2.0)[:, None] * np.exp(1j * np.multiply.outer(k, phases))
+    return (spectrum @ waves).real
 
 
 def _pivots(stack: np.ndarray) -> np.ndarray:
@@ -330,5 +373,8 @@ def _dependence(expression: ca.SX, p: ca.SX) -> np.ndarray:
 
 
 def _conditioning(matrix: np.ndarray) -> float:
-    values = np.linalg.svd(matrix, compute_uv=False)
-    return float(values[-1] / max(values[0], 1e-300)) if np.all(np.isfinite(values)) else -1.0
+    """Return the smallest over the largest singular value after balancing, so that units do not count."""
+    if not np.all(np.isfinite(matrix)):
+        return -1.0
+    values = np.linalg.svd(sl.matrix_balance(matrix, permute=False)[0], compute_uv=False)
+    return float(values[-1] / max(values[0], 1e-300))

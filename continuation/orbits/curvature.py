@@ -77,7 +77,7 @@ def _contact_part(problem, i, contact, Y, vector, orders, v_wave, adjoint):  # t
 
 def _smooth_part(problem, Y, vector, orders, v_wave, adjoint):  # type: ignore[no-untyped-def]
     ports, n = problem.ports, problem.period_multiple
-    count = 1 << int(np.ceil(np.log2(max(64, 16 * len(Y)))))
+    count = 1 << int(np.ceil(np.log2(max(64, 16 * len(Y), 8 * ports.law_order * n))))
     phases = 2 * np.pi * np.arange(count) / count
     y = np.fft.irfft(Y, count, axis=0, norm="forward").T
     bend = ports.second(y, phases * n, vector)  # (m, k, k, N)

@@ -17,8 +17,8 @@ _FLOOR = 1e-10  # error of the transition integrator and of the eigenvalues of a
 def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
     """Return the Orbits of corrected harmonic-balance points (u, p, waveform error).
 
-    The error bar of a multiplier is its change when the waveform is moved by its estimated error, plus the defect
-    of Liouville's determinant. An orbit with a multiplier within its error bar of the unit circle is undecided.
+    The error bar of a multiplier is twice its change when the waveform is moved by its estimated error, plus the
+    defect of Liouville's determinant. An orbit with a multiplier within its error bar of the unit circle is undecided.
     """
     k = problem.ports.outputs
     flow = monodromy(problem, [(u, p) for u, p, _ in points])
@@ -32,7 +32,7 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
     mu, shifted = multipliers(flow.matrices), multipliers(other.matrices)
     orbits = []
     for i, (u, p, error) in enumerate(points):
-        bar = distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + _FLOOR
+        bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + _FLOOR
         orbits.append(
             Orbit(
                 system=problem.system.name,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from continuation.branches.newton import size_of
 from continuation.errors import UnsupportedModel
 from continuation.model.ports import LinearPart, Ports
 from continuation.model.system import System
@@ -70,9 +71,9 @@ class HarmonicBalance:
 class _Estimate:
     """First-order error of a point (u, p): what the harmonics left out would add and change.
 
-    ``step`` (twice the harmonics) and ``dp`` are the shortest way back to the branch, ``shortest`` its size in the
-    waveform; ``error`` is the error at fixed parameter, or ``shortest`` next to a fold, where that is no measure.
-    ``states`` are the state harmonics of u, whose loads are known here.
+    ``step`` (twice the harmonics or more) and ``dp`` are the shortest way back to the branch, ``shortest`` its size in
+    the waveform; ``error`` is twice the error at fixed parameter, or twice ``shortest`` next to a fold, where the first
+    is no measure. ``states`` are the state harmonics of u, whose loads are known here.
     """
 
     step: np.ndarray
@@ -204,7 +205,7 @@ class HarmonicBalanceProblem:
         """Return dF/dp: analytic for a frequency that acts through the phase, else central differences of F."""
         if self._index == self._frequency and not self.ports.frequency_explicit:
             return pack(self._phase_derivative(p, load, V))
-        h = 6e-6 * max(1.0, abs(p))  # error about h^2 = 4e-11 and 1e-16 / h = 2e-11
+        h = 6e-6 * self.parameter_scale(p)  # relative error about h^2 = 4e-11 and 1e-16 / h = 2e-11
         return (self.residual(u, p + h) - self.residual(u, p - h)) / (2 * h)
 
     def _phase_derivative(self, p: float, driven: np.ndarray, V: np.ndarray) -> np.ndarray:
@@ -226,7 +227,7 @@ class HarmonicBalanceProblem:
 
     # ---------------------------------------------------------------- error and resolution
     def estimate(self, u: np.ndarray, p: float) -> _Estimate:
-        """Return the error estimate of (u, p); cost about one Newton step, remembered for the points of one branch."""
+        """Return the error estimate of (u, p), remembered for the points of one branch; cost about a Newton step."""
         key = _key(u, p)
         if key not in self._corrections:
             if len(self._corrections) >= _REMEMBERED:
@@ -237,7 +238,8 @@ class HarmonicBalanceProblem:
     def _correction(self, u: np.ndarray, p: float) -> _Estimate:
         k = self.ports.outputs
         Y = unpack(u, k)
-        H, n = len(Y) - 1, 2 * len(Y)
+        H = len(Y) - 1
+        n = max(2 * len(Y), self._forced(p) + 1)  # forcing beyond twice the harmonics counts as left out, too
         longer = np.zeros((n, k), dtype=complex)
         longer[: H + 1] = Y
         force = self.forces(longer, self.vector(p), n - 1, n + H)
@@ -256,15 +258,16 @@ class HarmonicBalanceProblem:
         self.factorisations += 1
         across = np.linalg.solve(J, np.stack([pack(low), Fp], axis=1))
         # shortest change of (u, p) instead of the one at fixed p, so that it stays finite at folds
-        x, y = across.T * max(abs(p), 1e-3) ** np.array([[0], [1]])
-        dp = float(x @ y) / (float(y @ y) + max(float(u @ u), 1e-12))
+        unit = self.parameter_scale(p)
+        x, y = across[:, 0], across[:, 1] * unit
+        dp = float(x @ y) / (float(y @ y) + size_of(u) ** 2)
         tail[: H + 1] = unpack(x, k)
         fixed = self._size(pack(tail))
         tail[: H + 1] = unpack(x - dp * y, k)
         step = pack(tail)
         shortest = self._size(step)
         error = fixed if fixed < _FOLD * shortest else shortest
-        return _Estimate(step, dp * max(abs(p), 1e-3), shortest, error, self._recover(p, V[: H + 1], driven))
+        return _Estimate(step, dp * unit, shortest, 2 * error, self._recover(p, V[: H + 1], driven))
 
     def _linearised(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
         """Return dF/du and dF/dp, the ones of the last Newton step where that was close by."""
@@ -295,11 +298,11 @@ class HarmonicBalanceProblem:
         if method.harmonics is not None:
             return u, error
         H = (len(u) // k - 1) // 2
-        goal = method.tolerance * max(float(np.linalg.norm(u)), 1e-12)
+        goal = method.tolerance * size_of(u)
         if error > goal and method.max_harmonics > H:
             return resize(resize(u, k, 2 * H + 1) + estimate.step, k, min(2 * H + 1, method.max_harmonics)), error
         half = (H - 1) // 2
-        if H > 7 and self._size(u - resize(resize(u, k, half), k, H)) < goal / 10:
+        if half >= max(7, self._forced(p)) and self._size(u - resize(resize(u, k, half), k, H)) < goal / 10:
             return resize(u, k, half), error
         return u, error
 
@@ -307,6 +310,24 @@ class HarmonicBalanceProblem:
         """Pad or truncate u to the length of another vector."""
         k = self.ports.outputs
         return resize(u, k, (len(like) // k - 1) // 2)
+
+    def _forced(self, p: float) -> int:
+        """Return the highest harmonic of the orbit that is forced directly."""
+        return self.ports.forced_order(self.vector(p)) * self.period_multiple
+
+    def least_harmonics(self, p: float) -> int:
+        """Return the least number of harmonics that holds all that is forced directly, of the form 2^j - 1."""
+        return ladder(self._forced(p))
+
+    def parameter_scale(self, p: float) -> float:
+        """Return the size of the continuation parameter: its value or its default, whichever is larger; 1 for 0."""
+        return max(abs(p), abs(self.values[self.parameter])) or 1.0
+
+    def point_error(self, node: Any, kind: str) -> float:
+        """Return the parameter error of a special point whose harmonics can't be doubled any more."""
+        estimate = self.estimate(node.u, node.p)
+        steepness = abs(node.tp) / max(float(np.linalg.norm(node.tu)), 1e-300)
+        return 2 * (abs(estimate.dp) + steepness * estimate.shortest)
 
     def refined(self, u: np.ndarray, p: float) -> np.ndarray | None:
         """Return u with twice the harmonics and its estimated correction, or None at the limit."""
@@ -333,8 +354,9 @@ class HarmonicBalanceProblem:
         Y[::ratio] = orbit.coefficients @ C.T
         Y[0] = Y[0].real
         u, k = pack(Y), self.ports.outputs
-        H = self.method.harmonics if self.method.harmonics is not None else max(7, ladder(orbit.harmonic_count * ratio))
-        return resize(u, k, H)
+        if self.method.harmonics is not None:
+            return resize(u, k, self.method.harmonics)
+        return resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self._forced(orbit.value)))))
 
     def orbits(self, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
         """Return Orbits with certified multipliers for corrected points (u, p, waveform error), in one batch."""

@@ -40,7 +40,8 @@ class Orbit:
         Error bar of each multiplier.
     stability : "stable", "unstable" or "undecided"
     error : float
-        Estimated largest error of the waveform.
+        Estimated largest error of the waveform: of the port arguments by harmonic balance (for a gear, lambda; rates
+        of change err more), of all states by shooting.
     """
 
     system: str

@@ -69,7 +69,8 @@ class PortForces:
     def _add_smooth(self, Y: np.ndarray, vector: np.ndarray, W: np.ndarray, slope: np.ndarray) -> None:
         """Sample a smooth law until its spectrum has decayed to 1e-9 at Nyquist; aliasing is then about its square."""
         last, reach = len(W) - 1, len(slope) // 2
-        least = 2 * max(last, reach, len(Y)) + 2
+        explicit = self.ports.law_order * self.period_multiple
+        least = 2 * (max(last, reach, len(Y)) + explicit) + 2
         count = max(64, 1 << int(np.ceil(np.log2(least))), self._samples // 2)
         while True:
             phases = np.arange(count) * (2 * np.pi * self.period_multiple / count)

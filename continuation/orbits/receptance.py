@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg as sl
 
 from continuation.errors import SingularLinearPart
 from continuation.model.ports import LinearPart
@@ -84,7 +85,8 @@ def receptance(part: LinearPart) -> Receptance:
     """
     A, B, C, S = part.A, part.B, part.C, part.S
     at_rest = -A + B @ S @ C
-    values = np.linalg.svd(at_rest, compute_uv=False)
+    balanced = sl.matrix_balance(at_rest, permute=False)[0]  # units must not look like a rigid body
+    values = np.linalg.svd(balanced, compute_uv=False)
     if not values[-1] > 1e-13 * values[0]:
         raise SingularLinearPart(
             "the linear part has a rigid-body mode that no nonlinear port reaches, so no unique periodic orbit exists; "

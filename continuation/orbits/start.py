@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from continuation.branches.newton import Metric, Node, correct
+from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.errors import ContinuationError, NoConvergence
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.spectrum import pack, resize
@@ -58,7 +58,7 @@ def correct_at(problem: Any, u: np.ndarray, p: float) -> Orbit:
 def _settle(problem: Any, u: np.ndarray, p: float) -> tuple[Node, float]:
     error = np.inf
     for _ in range(12):
-        metric = Metric(max(float(np.linalg.norm(u)), 1e-6), max(abs(p), 1e-6))
+        metric = Metric(size_of(u), problem.parameter_scale(p))
         node = correct(problem, (u, p), (np.zeros_like(u), 1.0), metric, iterations=40)
         u, error = problem.adapt(node.u, node.p)
         if len(u) <= len(node.u):
@@ -69,9 +69,9 @@ def _settle(problem: Any, u: np.ndarray, p: float) -> tuple[Node, float]:
 def _from_waveform(problem: Any, wave: np.ndarray, p: float, widths: tuple[float, ...]) -> Orbit:
     """Newton on smoothed laws of decreasing width, then on the exact one, from samples (N, n) of the states."""
     k = problem.ports.outputs
-    Y = np.fft.rfft(wave, axis=0)[: _HARMONICS + 1] / len(wave) @ problem.ports.linear(problem.vector(p)).C.T
+    Y = np.fft.rfft(wave, axis=0)[: len(wave) // 3] / len(wave) @ problem.ports.linear(problem.vector(p)).C.T
     Y[0] = Y[0].real
-    H = problem.method.harmonics or _HARMONICS
+    H = problem.method.harmonics or max(_HARMONICS, problem.least_harmonics(p))
     u = resize(pack(Y), k, H)
     if problem.system.contacts:
         scale = min(float(np.ptp(c.breakpoints)) or 1.0 for c in problem.system.contacts) / 2
@@ -80,7 +80,7 @@ def _from_waveform(problem: Any, wave: np.ndarray, p: float, widths: tuple[float
                 problem.method, problem.system.smoothed(width * scale), problem.parameter, problem.period_multiple,
                 problem.values,
             )  # fmt: skip
-            metric = Metric(max(float(np.linalg.norm(u)), 1e-6), max(abs(p), 1e-6))
+            metric = Metric(size_of(u), problem.parameter_scale(p))
             try:
                 C = soft.ports.linear(soft.vector(p)).C
                 if not np.array_equal(C, problem.ports.linear(problem.vector(p)).C):
