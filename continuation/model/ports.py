@@ -74,6 +74,7 @@ class Ports:
 
     def __init__(self, system: System) -> None:
         self.system = system
+        self._maps: dict[tuple[int, bool], Any] = {}
         x, phi, theta, p = system.x, system.phi, system.theta, system.p
         f, arguments = system.derivative, system.arguments
         self._jacobian = ca.jacobian(f, x)
@@ -154,7 +155,7 @@ class Ports:
         slope = ca.substitute(self._varying, s.x, x)
         self.smooth = bool(self._varying.nnz()) and not self._varying.is_zero()
         self._law = ca.Function(
-            "law", [y, theta, p], [force[rows], ca.densify(slope[rows, [int(c) for c in self.cols]])]
+            "law", [y, theta, p], [ca.densify(force[rows]), ca.densify(slope[rows, [int(c) for c in self.cols]])]
         )
         gains = ca.densify(self._gains[rows, :]) if rows else ca.SX(0, 1)
         self._periodic = ca.Function("periodic", [theta, p], [self._u, ca.vec(gains), self._offset])
@@ -207,10 +208,33 @@ class Ports:
         return bool(ca.depends_on(s.derivative, s.p[s.parameter_names.index(s.frequency)]))
 
     def law(self, y: np.ndarray, theta: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the smooth port force (m, N) and its slope (m, k, N) at y (k, N), theta (N,)."""
-        force, slope = self._law(y, theta.reshape(1, -1), p)
+        """Evaluate the smooth port force (m, N) and its slope (m, k, N) at y (k, N), theta (N,), p (q,) or (q, N)."""
         count, m, k = theta.size, self.inputs, self.outputs
-        return np.array(force).reshape(m, count), np.array(slope).reshape(m, count, k).transpose(0, 2, 1)
+        arguments, results, run = self._mapped(count, p.ndim == 1)
+        for held, given in zip(arguments, (y.T, theta, p.T), strict=True):
+            held[...] = given
+        run()
+        force, slope = results
+        return force.T.copy(), slope.reshape(count, k, m).transpose(2, 1, 0).copy()
+
+    def _mapped(self, count: int, common: bool) -> tuple[list[np.ndarray], list[np.ndarray], Any]:
+        """Return argument and result arrays, one sample per row, and the call that fills the results (a few kept)."""
+        key = (count, common)
+        if key not in self._maps:
+            if len(self._maps) >= 8:
+                self._maps.pop(next(iter(self._maps)))
+            f = self._law.map("laws", "serial", count, [2], []) if common else self._law.map(count)
+            m, k, q = self.inputs, self.outputs, len(self.system.parameter_names)
+            arguments = [np.zeros((count, k)), np.zeros(count), np.zeros(q if common else (count, q))]
+            results = [np.zeros((count, m)), np.zeros((count, k * m))]
+            made: Any = f.buffer()
+            buffer, run = made
+            for i, array in enumerate(arguments):
+                buffer.set_arg(i, memoryview(array.reshape(-1).data))
+            for i, array in enumerate(results):
+                buffer.set_res(i, memoryview(array.reshape(-1).data))
+            self._maps[key] = (arguments, results, run, (f, buffer))  # CasADi does not keep the last two alive
+        return self._maps[key][:3]
 
     def second(self, y: np.ndarray, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Evaluate the second derivative (m, k, k, N) of the smooth port force at y (k, N), theta (N,)."""
