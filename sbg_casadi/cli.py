@@ -38,6 +38,14 @@ OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Fo
 FromOption = Annotated[
     float | None, typer.Option("--from", metavar="RATIO", help="First frequency ratio omega_m/omega_n.")
 ]
+ReadingOption = Annotated[
+    str,
+    typer.Option(
+        "--reading",
+        metavar="NAME|ROWS",
+        help="Equations as 'consistent', as 'printed', or rows of 'sbg ledger' taken as printed, such as 1,12.",
+    ),
+]
 ToOption = Annotated[float | None, typer.Option("--to", metavar="RATIO", help="Last frequency ratio omega_m/omega_n.")]
 
 
@@ -99,6 +107,7 @@ def response(
         float, typer.Option(metavar="WIDTH", help="Width of the smoothed backlash law in half backlashes; 0 is exact.")
     ] = 0.0,
     state: Annotated[str | None, typer.Option(metavar="NAME", help="State of the pair; default: the first.")] = None,
+    reading: ReadingOption = "consistent",
     json_file: JsonOption = None,
     out: OutOption = None,
 ) -> None:
@@ -106,6 +115,9 @@ def response(
     with _guarded():
         check_range(start, stop)
         check_smoothing(smoothing)
+        from sbg_casadi.reading import parse_reading
+
+        rows = parse_reading(reading)
         from sbg_casadi.study import run_response
 
         code = run_response(
@@ -114,6 +126,7 @@ def response(
             stop=stop,
             smoothing=smoothing,
             state=state,
+            reading=rows,
             json_file=json_file,
             out=out,
             console=_console(),
@@ -127,14 +140,53 @@ def study(
     out: OutOption = None,
     start: FromOption = None,
     stop: ToOption = None,
+    reading: ReadingOption = "consistent",
     json_file: JsonOption = None,
 ) -> None:
     """Compare the states before and after a modification: responses, stability, sweeps, figure and summary."""
     with _guarded():
         check_range(start, stop)
+        from sbg_casadi.reading import parse_reading
+
+        rows = parse_reading(reading)
         from sbg_casadi.study import run_study
 
-        raise typer.Exit(run_study(pair, out=out, start=start, stop=stop, json_file=json_file, console=_console()))
+        code = run_study(pair, out=out, start=start, stop=stop, reading=rows, json_file=json_file, console=_console())
+        raise typer.Exit(code)
+
+
+@app.command()
+def ledger(json_file: JsonOption = None) -> None:
+    """Print the misprints and gaps of the source, what is used instead, and what each changes."""
+    with _guarded():
+        _writable(json_file)
+        from sbg_casadi.ledger import ledger_document, ledger_table
+
+        _console().print(ledger_table())
+        _write_json(json_file, ledger_document())
+
+
+@app.command()
+def stiffness(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="CSV tables of transmission error or stiffness.")
+    ],
+    pair: Annotated[str, typer.Option("--pair", metavar="PAIR", help="A built-in case or a pair file.")],
+    harmonics: Annotated[int, typer.Option(metavar="N", help="Number of harmonics, at most (samples - 1)/2.")] = 7,
+    tolerance: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of the peak-to-peak by which mesh cycles may differ.")
+    ] = 0.02,
+    out: OutOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Turn measured tables (such as before and after a modification) into mesh stiffness and its harmonics."""
+    with _guarded():
+        from sbg_casadi.stiffness_report import run_stiffness
+
+        code = run_stiffness(
+            files, pair, harmonics=harmonics, tolerance=tolerance, out=out, json_file=json_file, console=_console()
+        )
+        raise typer.Exit(code)
 
 
 def check_range(start: float | None, stop: float | None) -> None:
@@ -256,4 +308,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that lacks a character shows "?" instead of failing
+    for threads in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(threads, "1")  # the matrices are small: threads would only wait for each other
     app(prog_name="sbg")

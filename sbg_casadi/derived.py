@@ -105,6 +105,19 @@ def outer_cone_distance(module: float, pinion_teeth: int, gear_teeth: int) -> fl
     return module * math.hypot(pinion_teeth, gear_teeth) / 2
 
 
+def outer_base_radius(module: float, teeth: int, pressure_angle: float) -> float:
+    """Return m z cos(alpha) / 2 in m at the outer end, from m and rad: the radius of the paper's Tables 2 to 5.
+
+    The equations use the mean pitch radius instead: with a base radius cos(alpha) of a3 would count twice.
+
+    Examples
+    --------
+    >>> round(outer_base_radius(3.105e-3, 41, math.radians(20)) * 1e3, 2)
+    59.81
+    """
+    return module * teeth * math.cos(pressure_angle) / 2
+
+
 def default_face_width(cone_distance: float) -> float:
     """Return the face width 0.3 R_e in m, the usual upper limit for spiral bevel gears (ISO 23509).
 
@@ -162,9 +175,9 @@ def frustum_inertia(mass: float, outer_radius: float, face_width: float, cone_di
 
 
 def direction_cosines(
-    pressure_angle: float, spiral_angle: float, pitch_angle: float, side: int
+    pressure_angle: float, spiral_angle: float, pitch_angle: float, side: int, *, printed: bool = False
 ) -> tuple[float, float, float]:
-    """Return a1, a2, a3 of equations (9)-(11) in the reading whose squares sum to 1.
+    """Return a1, a2, a3 of equations (9)-(11), by default in the reading whose squares sum to 1.
 
     Equation (9) is printed with sin(alpha) sin(beta) cos(delta) and (10) with a plus; the force of the mesh on the
     pinion has the components below, with ``side`` +1 or -1 for the hand of spiral and the driving flank.
@@ -175,15 +188,22 @@ def direction_cosines(
         Normal pressure angle alpha, mean spiral angle beta and pinion pitch cone angle delta, rad.
     side : int
         +1 or -1.
+    printed : bool
+        Take (9) and (10) as they are printed, which leaves out ``side``; the squares no longer sum to 1.
 
     Examples
     --------
-    >>> a = direction_cosines(math.radians(20), math.radians(35), pitch_cone_angle(14, 39), 1)
-    >>> [round(v, 4) for v in a]
+    >>> angles = math.radians(20), math.radians(35), pitch_cone_angle(14, 39)
+    >>> [round(v, 4) for v in direction_cosines(*angles, 1)]
     [0.6228, 0.1398, 0.7698]
+    >>> [round(v, 4) for v in direction_cosines(*angles, 1, printed=True)]
+    [0.3002, 0.504, 0.7698]
     """
     sa, ca = math.sin(pressure_angle), math.cos(pressure_angle)
     sd, cd = math.sin(pitch_angle), math.cos(pitch_angle)
+    if printed:
+        sb = math.sin(spiral_angle)
+        return sa * sd + sa * sb * cd, sa * cd + ca * sb * sd, ca * math.cos(spiral_angle)
     lead = side * ca * math.sin(spiral_angle)
     return sa * sd + lead * cd, sa * cd - lead * sd, ca * math.cos(spiral_angle)
 

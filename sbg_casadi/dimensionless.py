@@ -16,7 +16,7 @@ from sbg_casadi.mesh import fourier_series, stiffness_fault
 COORDINATES = ("x_p", "y_p", "z_p", "x_g", "y_g", "z_g")
 ONLY_STATE = "only"  # name of the one state of a pair that names none
 
-_POSITIVE = ("torque", "tangential_cosine", "mass_ratios", "bearing_stiffness")
+_POSITIVE = ("torque", "tangential_cosine", "mass_ratios", "bearing_stiffness", "coast_stiffness_ratio")
 _NOT_NEGATIVE = ("mesh_damping_ratio", "bearing_damping")
 _SIX = ("directions", "mass_ratios", "bearing_stiffness", "bearing_damping")
 
@@ -45,6 +45,8 @@ class Dimensionless:
         a_j / k_0 and b_j / k_0 of equation (21).
     error_cosine, error_sine : tuple of float, equal lengths
         Harmonics of the unloaded transmission error e(theta), equation (16), over half the backlash.
+    coast_stiffness_ratio : float
+        Mesh stiffness of the coast flank over that of the drive flank at the same phase; (20) has 1.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class Dimensionless:
     stiffness_sine: tuple[float, ...] = ()
     error_cosine: tuple[float, ...] = ()
     error_sine: tuple[float, ...] = ()
+    coast_stiffness_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         for item in fields(self):

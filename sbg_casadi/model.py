@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
 from continuation import Contact, System
 from sbg_casadi.dimensionless import COORDINATES, ONLY_STATE, Dimensionless
+from sbg_casadi.reading import CONSISTENT, Reading, check_rows, reading_name
 
 
-def gear_system(dimensionless: Dimensionless) -> System:
+def gear_system(dimensionless: Dimensionless, reading: Reading = CONSISTENT) -> System:
     """Build the equations in time tau = omega_n t, lengths over half the backlash.
 
     One scalar, the mesh force ``G = K(theta) f(lambda - e) + 2 xi (lambda' - e')``, enters everywhere:
@@ -22,7 +25,11 @@ def gear_system(dimensionless: Dimensionless) -> System:
     Parameters
     ----------
     dimensionless : Dimensionless
-        Numbers of one pair in one state.
+        Numbers of one pair in one state; row 1 of a reading acts on them, see :func:`~sbg_casadi.reading.as_read`.
+    reading : frozenset of int
+        Rows of the ledger taken as printed. Row 2: damping on lambda' in (12). Row 3: the cosine coefficients of (16)
+        for its sines, too. Row 12: damping of (25) without the factor 2. Virtual work and the constant trace hold
+        without row 12 only.
 
     Returns
     -------
@@ -31,31 +38,41 @@ def gear_system(dimensionless: Dimensionless) -> System:
         ``frequency_ratio`` (omega_m / omega_n, the rate of the phase), ``torque`` (T) and ``mesh_damping_ratio`` (xi);
         outputs ``mesh_force`` (G) and ``deflection`` (lambda - e); one Contact.
 
+    Raises
+    ------
+    UserError
+        If the reading has a row that changes no equation.
+
     Examples
     --------
     >>> from sbg_casadi import load_pair
     >>> gear_system(load_pair("example").dimensionless())
     System('example': 14 states, 3 parameters, phase theta with frequency frequency_ratio, 1 contact)
     """
+    check_rows(reading)
     d = dimensionless
     names = ("lambda", *COORDINATES)
     position = {n: ca.SX.sym(n) for n in names}
     velocity = {f"d{n}": ca.SX.sym(f"d{n}") for n in names}
     theta, ratio, torque, xi = (ca.SX.sym(n) for n in ("theta", "frequency_ratio", "torque", "mesh_damping_ratio"))
     lam, dlam = position["lambda"], velocity["dlambda"]
-    k = 1 + _series(d.stiffness_cosine, d.stiffness_sine, theta)  # (21)
-    e = _series(d.error_cosine, d.error_sine, theta)  # (16)
-    mesh = Contact(argument=lam - e, breakpoints=(-1.0, 1.0), slopes=(1.0, 0.0, 1.0), name="mesh")  # (20)
-    force = k * mesh.force + 2 * xi * (dlam - ratio * ca.jacobian(e, theta))  # (12)
+    k = 1 + harmonic_sum(d.stiffness_cosine, d.stiffness_sine, theta)  # (21)
+    e = harmonic_sum(d.error_cosine, d.error_cosine if 3 in reading else d.error_sine, theta)  # (16)
+    slopes = (d.coast_stiffness_ratio, 0.0, 1.0)
+    mesh = Contact(argument=lam - e, breakpoints=(-1.0, 1.0), slopes=slopes, name="mesh")  # (20)
+    damping = xi * (dlam if 2 in reading else dlam - ratio * ca.jacobian(e, theta))
+    force = k * mesh.force + 2 * damping  # (12)
 
     a3, acceleration = d.tangential_cosine, {}
     total = a3 * torque - a3**2 * force
     for i, name in enumerate(COORDINATES):
-        bearing = 2 * d.bearing_damping[i] * velocity[f"d{name}"] + d.bearing_stiffness[i] * position[name]
-        acceleration[f"d{name}"] = -d.directions[i] * d.mass_ratios[i] * force - bearing  # (24)-(29)
+        bearing = bearing_term(d, i, position[name], velocity[f"d{name}"])
+        load = force - damping if name == "z_g" and 12 in reading else force  # (25)
+        acceleration[f"d{name}"] = -d.directions[i] * d.mass_ratios[i] * load - bearing  # (24)-(29)
         total += d.directions[i] * acceleration[f"d{name}"]
+    label = d.name if d.state == ONLY_STATE else f"{d.name}, {d.state}"
     return System(
-        name=d.name if d.state == ONLY_STATE else f"{d.name}, {d.state}",
+        name=label if reading == CONSISTENT else f"{label}, reading {reading_name(reading)}",
         states={**position, **velocity},
         derivatives={**{n: velocity[f"d{n}"] for n in names}, "dlambda": total, **acceleration},  # (23)
         phase=theta,
@@ -89,9 +106,30 @@ def static_state(dimensionless: Dimensionless) -> np.ndarray:
     return np.concatenate([[1 + d.mean_force], -s * mu * d.mean_force / k, np.zeros(7)])
 
 
-def _series(cosine: tuple[float, ...], sine: tuple[float, ...], theta: ca.SX) -> ca.SX:
+def bearing_term(dimensionless: Dimensionless, i: int, position: Any, velocity: Any) -> Any:
+    """Return ``2 C_i q_i' + K_i q_i`` of (24)-(29), the force on the bearings of displacement i over m_i omega_n^2 b.
+
+    Examples
+    --------
+    >>> from sbg_casadi import load_pair
+    >>> bearing_term(load_pair("example").dimensionless(), 0, 1.5, 0.0)
+    3.0
+    """
+    return 2 * dimensionless.bearing_damping[i] * velocity + dimensionless.bearing_stiffness[i] * position
+
+
+def harmonic_sum(cosine: tuple[float, ...], sine: tuple[float, ...], theta: ca.SX) -> ca.SX:
+    """Return ``sum_j c_j cos(j theta) + s_j sin(j theta)`` as an expression; harmonics that are zero leave no term.
+
+    Examples
+    --------
+    >>> harmonic_sum((0.0, 0.3), (0.0, 0.0), ca.SX.sym("theta"))
+    SX((0.3*cos((2.*theta))))
+    """
     total = ca.SX(0)
     for j, (c, s) in enumerate(zip(cosine, sine, strict=True), start=1):
-        if c or s:  # harmonics that are zero leave no term behind
-            total += c * ca.cos(j * theta) + s * ca.sin(j * theta)
+        if c:
+            total += c * ca.cos(j * theta)
+        if s:
+            total += s * ca.sin(j * theta)
     return total

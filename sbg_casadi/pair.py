@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 from continuation.errors import nearest
+from sbg_casadi.conversion import MeshGeometry
 from sbg_casadi.derived import Derived
 from sbg_casadi.dimensionless import Dimensionless
 from sbg_casadi.entries import name_fault, shown
 from sbg_casadi.errors import PairError
-from sbg_casadi.normalise import derive, given_states, physical_states
+from sbg_casadi.normalise import derive, given_series, given_states, physical_series, physical_states
 from sbg_casadi.rows import Row, given_rows, physical_rows
 from sbg_casadi.schema import DimensionlessFile, PhysicalFile, read_file
+from sbg_casadi.state_series import mesh_geometry
+from sbg_casadi.writing import to_toml
 
 _CASES = Path(__file__).with_name("cases")
 _LARGEST = 1_000_000  # bytes; a pair file has a few thousand
@@ -55,6 +58,7 @@ class Pair:
     published: dict[str, float]
     _states: tuple[Dimensionless, ...]
     _rows: tuple[Row, ...]
+    _tables: PhysicalFile | DimensionlessFile
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -80,6 +84,25 @@ class Pair:
         """Return every value as (section, key, value, unit, source, note), given ones first, then derived ones."""
         return list(self._rows)
 
+    def mesh_geometry(self) -> MeshGeometry | None:
+        """Return what turns a measured table into stiffness; None for the dimensionless form."""
+        if self.derived is None or not isinstance(self._tables, PhysicalFile):
+            return None
+        return mesh_geometry(self._tables, self.derived)
+
+    def to_toml(self) -> str:
+        """Return the pair as the text of a pair file, from which :func:`load_pair` makes an equal pair.
+
+        What a file leaves out stays out, and the path of a ``stiffness_table`` stays as it is, relative to the folder
+        of the file.
+
+        Examples
+        --------
+        >>> load_pair("iso-f2").to_toml().splitlines()[0]
+        'name = {value = "iso-f2", source = "standard", note = "ISO 23509:2016 Annex F.2"}'
+        """
+        return to_toml(self._tables)
+
     def __repr__(self) -> str:
         return f"Pair({self.name!r}: {self.form}, states {', '.join(self.states)})"
 
@@ -90,7 +113,7 @@ def case_names() -> tuple[str, ...]:
     Examples
     --------
     >>> case_names()
-    ('example', 'iso-f2')
+    ('case1', 'case2', 'case3', 'case4', 'example', 'iso-f2')
     """
     return tuple(sorted(path.stem for path in _CASES.glob("*.toml")))
 
@@ -110,10 +133,10 @@ def load_pair(name_or_path: str | os.PathLike[str]) -> Pair:
     """
     name = os.fspath(name_or_path)
     if name in case_names():
-        place, data = f"built-in case {name!r}", (_CASES / f"{name}.toml").read_bytes()
-    else:
-        place, data = f"pair file {name!r}", _read(name)
-    return _build(_parse(data, place), place)
+        place, path = f"built-in case {name!r}", _CASES / f"{name}.toml"
+        return _build(_parse(path.read_bytes(), place), place, _CASES)
+    place, data = f"pair file {name!r}", _read(name)
+    return _build(_parse(data, place), place, Path(name).parent)
 
 
 def _read(name: str) -> bytes:
@@ -157,27 +180,30 @@ def _parse(data: bytes, place: str) -> dict[str, Any]:
     return raw
 
 
-def _build(raw: dict[str, Any], place: str) -> Pair:
+def _build(raw: dict[str, Any], place: str, folder: Path) -> Pair:
     tables = read_file(raw, place)
     for state in tables.states:
         if fault := name_fault(state):
             raise PairError(f"{place}: the state name {shown(state)} {fault}; expected a name such as before")
     try:
-        return _assemble(tables)
+        return _assemble(tables, folder)
     except PairError as error:
         raise PairError(f"{place}: {error}") from None
 
 
-def _assemble(tables: PhysicalFile | DimensionlessFile) -> Pair:
-    """Compute what follows from validated tables."""
+def _assemble(tables: PhysicalFile | DimensionlessFile, folder: Path) -> Pair:
+    """Compute what follows from validated tables; ``folder`` is that of the file."""
     name = tables.name.value
     if isinstance(tables, DimensionlessFile):
-        states = given_states(tables)
-        return Pair(name, "dimensionless", None, {}, states, given_rows(tables, states))
+        series = given_series(tables)
+        states = given_states(tables, series)
+        return Pair(name, "dimensionless", None, {}, states, given_rows(tables, states, series), tables)
     if not tables.states:
         raise PairError("states is empty; expected at least one table [states.NAME]")
-    derived = derive(tables)
-    states = physical_states(tables, derived)
+    derived = derive(tables, folder)
+    series = physical_series(tables, derived, folder)
+    states = physical_states(tables, derived, series)
     entries = {key: getattr(tables.published, key) for key in type(tables.published).model_fields}
     published = {key: entry.value for key, entry in entries.items() if entry is not None}
-    return Pair(name, "physical", derived, published, states, physical_rows(tables, derived, states))
+    rows = physical_rows(tables, derived, states, series)
+    return Pair(name, "physical", derived, published, states, rows, tables)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from sbg_casadi.pair import Pair
+from sbg_casadi.reading import CONSISTENT, Reading, printed_cosines
 
 _FAR = 3.0  # times the rated ratio from which the lowest frequency of a range counts as far above it
 
 
-def quantities(pair: Pair, state: str) -> list[dict[str, Any]]:
+def quantities(pair: Pair, state: str, reading: Reading = CONSISTENT) -> list[dict[str, Any]]:
     """Return name, value, unit, text and note of the quantities that lead from a pair to its equations.
 
     Parameters
@@ -17,6 +18,8 @@ def quantities(pair: Pair, state: str) -> list[dict[str, Any]]:
     pair : Pair
     state : str
         State whose direction cosines are shown for a dimensionless pair; a physical pair has one set.
+    reading : frozenset of int
+        Rows of the ledger taken as printed; row 1 changes a1 and a2.
 
     Examples
     --------
@@ -31,6 +34,8 @@ def quantities(pair: Pair, state: str) -> list[dict[str, Any]]:
             _row("a3", d.tangential_cosine, "", ".6f", "tangential direction cosine"),
             _row("T/a3", d.mean_force, "", ".6f", "mean mesh force over k_0 times half backlash"),
         ]
+    a1, a2, _ = printed_cosines(derived) if 1 in reading else (derived.a1, derived.a2, derived.a3)
+    note = "direction cosine" + (", as printed" if 1 in reading else "")
     published = pair.published.get("normal_force")
     against = (
         ""
@@ -42,8 +47,8 @@ def quantities(pair: Pair, state: str) -> list[dict[str, Any]]:
         _row("omega_n", derived.natural_frequency, "rad/s", ".1f", "sqrt(k_0 / m_eq)"),
         _row("k_0", derived.mesh_stiffness, "N/m", ".4g", "mean mesh stiffness"),
         _row("F_n", derived.normal_force, "N", ".1f", against or "mean normal force"),
-        _row("a1", derived.a1, "", ".6f", "direction cosine"),
-        _row("a2", derived.a2, "", ".6f", "direction cosine"),
+        _row("a1", a1, "", ".6f", note),
+        _row("a2", a2, "", ".6f", note),
         _row("a3", derived.a3, "", ".6f", "direction cosine, tangential"),
         _row("b", derived.half_backlash, "m", ".4e", "half backlash, normal, at the mean cone distance"),
         _row("T/a3", derived.mean_load, "", ".6f", "mean load F_n / (k_0 b)"),

@@ -49,10 +49,16 @@ def response_report(document: Document) -> list[RenderableType]:
     law = f"smoothed backlash law, width {document['smoothing']:g}" if document["smoothing"] else "exact backlash law"
     first, last = document["range"]
     head = f"{document['pair']}, state {document['state']}: period-1 response, ratio {first:g} to {last:g}, {law}"
+    head += _reading(document)
     parts: list[RenderableType] = [Text(head, style="bold")]
     for branch in document["branches"]:
         parts += branch_report(branch)
     return parts
+
+
+def _reading(document: Document) -> str:
+    reading = document["reading"]
+    return "" if reading == "consistent" else f", equations in the reading {reading}"
 
 
 def branch_report(branch: Document) -> list[RenderableType]:
@@ -101,6 +107,7 @@ def study_report(document: Document) -> list[RenderableType]:
     first, last = document["range"]
     names = " and ".join(s["state"] for s in document["states"])
     head = f"{document['pair']}: {names}, frequency ratio {first:g} to {last:g}, exact backlash law"
+    head += _reading(document)
     parts: list[RenderableType] = [Text(head, style="bold"), _quantities(document["quantities"])]
     parts += [Text(f"Warning: {text}", style="yellow") for text in document["warnings"]]
     if document["assumed"]:

@@ -16,6 +16,7 @@ from sbg_casadi.files import check_writable, write_text_atomic
 from sbg_casadi.model import gear_system
 from sbg_casadi.pair import Pair, load_pair
 from sbg_casadi.progress import Progress, Report, silent
+from sbg_casadi.reading import CONSISTENT, Reading, as_read, reading_name
 from sbg_casadi.results import ResultsFolder
 
 if TYPE_CHECKING:
@@ -43,7 +44,12 @@ def frequency_span(start: float | None, stop: float | None) -> tuple[float, floa
 
 
 def trace_response(
-    dimensionless: Dimensionless, span: tuple[float, float], *, smoothing: float = 0.0, report: Report = silent
+    dimensionless: Dimensionless,
+    span: tuple[float, float],
+    *,
+    smoothing: float = 0.0,
+    reading: Reading = CONSISTENT,
+    report: Report = silent,
 ) -> tuple[Any, Branch]:
     """Trace the period-1 branch over the frequency ratio by condensed harmonic balance.
 
@@ -55,6 +61,8 @@ def trace_response(
         First and last frequency ratio.
     smoothing : float
         Width of the smoothed backlash law in half backlashes; 0 is the exact law.
+    reading : frozenset of int
+        Rows of the ledger taken as printed in the equations.
     report : callable
         Told the fraction done and a line of text.
 
@@ -70,7 +78,7 @@ def trace_response(
     ContinuationError
         If there is no orbit at the first ratio.
     """
-    system = gear_system(dimensionless).smoothed(smoothing)
+    system = gear_system(dimensionless, reading).smoothed(smoothing)
     problem = HarmonicBalance().discretise(system, parameter=PARAMETER)
     branch = trace(problem, problem.guess(frequency_ratio=span[0]), span=span, progress=report)
     if branch.stop.startswith("interrupted"):
@@ -88,6 +96,7 @@ def run_response(
     json_file: Path | None,
     out: Path | None,
     console: Console,
+    reading: Reading = CONSISTENT,
 ) -> int:
     """Trace a response, print it, and write it where asked.
 
@@ -107,6 +116,8 @@ def run_response(
         Folder for figure, summary, JSON and netCDF; its earlier results of the same command are replaced as a whole.
     console : rich Console
         Where to print.
+    reading : frozenset of int
+        Rows of the ledger taken as printed.
 
     Returns
     -------
@@ -124,7 +135,7 @@ def run_response(
     pair = load_pair(pair_name)
     span = frequency_span(start, stop)
     check_smoothing(smoothing)
-    d = pair.dimensionless(state)
+    d = as_read(pair, state, reading)
     files = ("response.png", "summary.txt", "response.json", "period-1.nc")
     folder = None
     if out is not None:
@@ -132,8 +143,10 @@ def run_response(
     elif json_file is not None:
         check_writable(json_file)
     with Progress() as progress:
-        _, branch = trace_response(d, span, smoothing=smoothing, report=progress.task(f"{pair.name}: tracing"))
-    document = response_document(branch, pair, d.state, smoothing, span[1]) | {"range": list(span)}
+        report = progress.task(f"{pair.name}: tracing")
+        _, branch = trace_response(d, span, smoothing=smoothing, reading=reading, report=report)
+    document = response_document(branch, pair, d.state, smoothing, span[1])
+    document |= {"range": list(span), "reading": reading_name(reading)}
     if folder is not None:
         folder.fill(lambda place: _write(place, document, branch, pair, folder.extra))
     if json_file is not None and (folder is None or folder.extra is None):

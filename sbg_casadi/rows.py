@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
-from sbg_casadi.derived import Derived
+from sbg_casadi.derived import Derived, outer_base_radius
 from sbg_casadi.dimensionless import ONLY_STATE, Dimensionless
 from sbg_casadi.entries import Entry
 from sbg_casadi.mesh import peak_to_peak
 from sbg_casadi.schema import DimensionlessFile, Harmonics, PhysicalFile, Table
+from sbg_casadi.state_series import StateSeries
 
 
 class Row(NamedTuple):
@@ -63,7 +64,9 @@ _DERIVED = (
 )
 
 
-def physical_rows(pair: PhysicalFile, derived: Derived, states: Iterable[Dimensionless]) -> tuple[Row, ...]:
+def physical_rows(
+    pair: PhysicalFile, derived: Derived, states: Iterable[Dimensionless], series: Iterable[StateSeries]
+) -> tuple[Row, ...]:
     """Return the rows of a physical pair: what is given, the defaults used, the derived quantities."""
     rows = [_row("", "name", pair.name)]
     for section in ("geometry", "load", "inertia", "bearings", "mesh"):
@@ -74,7 +77,8 @@ def physical_rows(pair: PhysicalFile, derived: Derived, states: Iterable[Dimensi
                 rows.append(_row(section, key, entry))
             elif (section, key) in _DEFAULTS:
                 rows.append(_default(section, key, pair, derived))
-    rows += _state_rows(pair.states, states)
+    rows += _state_rows(pair.states, states, series)
+    rows += _printed_rows(pair)
     for name, scale, unit, note in _DERIVED:
         value = getattr(derived, name)
         if value is not None:
@@ -85,19 +89,21 @@ def physical_rows(pair: PhysicalFile, derived: Derived, states: Iterable[Dimensi
     return tuple(rows)
 
 
-def given_rows(pair: DimensionlessFile, states: Iterable[Dimensionless]) -> tuple[Row, ...]:
+def given_rows(
+    pair: DimensionlessFile, states: Iterable[Dimensionless], series: Iterable[StateSeries]
+) -> tuple[Row, ...]:
     """Return the rows of a dimensionless pair."""
     rows = [_row("", "name", pair.name)]
     base = pair.dimensionless
     for key in type(base).model_fields:
-        if key not in Harmonics.model_fields:
-            rows.append(_row("dimensionless", key, getattr(base, key)))
+        if key not in Harmonics.model_fields and (entry := getattr(base, key)) is not None:
+            rows.append(_row("dimensionless", key, entry))
     if pair.states:  # the harmonics beside the numbers are then defaults of the states
         given = ((key, getattr(base, key)) for key in Harmonics.model_fields)
         rows += [_row("dimensionless", key, entry) for key, entry in given if entry is not None]
-        rows += _state_rows(pair.states, states)
+        rows += _state_rows(pair.states, states, series)
     else:
-        rows += _state_rows({ONLY_STATE: base}, states, section="dimensionless")
+        rows += _state_rows({ONLY_STATE: base}, states, series, section="dimensionless")
     mean = base.torque.value / base.tangential_cosine.value
     rows.append(Row("derived", "mean_load", f"{mean:.7g}", "", "derived", "mean mesh force T / a3"))
     return tuple(rows)
@@ -112,16 +118,43 @@ def _default(section: str, key: str, pair: PhysicalFile, derived: Derived) -> Ro
     name, scale, unit, note = _DEFAULTS[section, key]
     added = getattr(pair.inertia, f"added_{key}", None)
     value = getattr(derived, name) - (added.value if added is not None else 0.0)
+    first, table = next(iter(pair.states.items()))
+    if (section, key) == ("mesh", "stiffness") and table.stiffness_table is not None:
+        note = f"k_0 = mean of states.{first}.stiffness_table, (17)"
     return Row(section, key, f"{value * scale:.7g}", unit, "derived", note)
 
 
-def _state_rows(tables: dict[str, Harmonics], states: Iterable[Dimensionless], section: str = "") -> Iterator[Row]:
-    """Yield the harmonics of each state and the fluctuation they add up to."""
-    for state, table in zip(states, tables.values(), strict=True):
+def _state_rows(
+    tables: dict[str, Harmonics], states: Iterable[Dimensionless], series: Iterable[StateSeries], section: str = ""
+) -> Iterator[Row]:
+    """Yield what each state gives, the harmonics that follow from a table or a shape, and the fluctuation."""
+    for state, table, one in zip(states, tables.values(), series, strict=True):
         place = section or f"states.{state.state}"
         for key in Harmonics.model_fields:
             if (entry := getattr(table, key)) is not None:
                 yield _row(place, key, entry)
+        for key, note in one.notes.items():
+            yield Row(place, key, ", ".join(f"{v:.6g}" for v in one.lists[key]), "", "derived", note)
         span = peak_to_peak(state.stiffness_cosine, state.stiffness_sine)
         note = "fluctuation of the mesh stiffness over its mean"
         yield Row(place, "peak_to_peak", f"{span:.7g}", "", "derived", note)
+
+
+def _printed_rows(pair: PhysicalFile) -> Iterator[Row]:
+    """Yield the paper's values that don't fit together, each with the number it should be."""
+    geometry, paper = pair.geometry, pair.paper
+    module, angle = geometry.module.value, geometry.pressure_angle.value
+    for member, teeth in zip(("pinion", "gear"), geometry.teeth.value, strict=True):
+        entry = getattr(paper, f"{member}_base_radius")
+        if entry is not None:
+            right = f"m z cos(alpha) / 2 is {outer_base_radius(module, teeth, angle) * 1e3:.2f} mm"
+            yield _noted("paper", f"{member}_base_radius", entry, right)
+    if paper.backlash is not None:
+        share = f"{100 * paper.backlash.value / module:.1f} % of the module, practice is 3 to 6 %; "
+        used = f"b of the equations is half the gap, {geometry.backlash.value / 2 * 1e3:.4g} mm"
+        yield _noted("paper", "backlash", paper.backlash, share + used)
+
+
+def _noted(section: str, key: str, entry: Entry, note: str) -> Row:
+    """Return the row of an entry with a computed note after its own."""
+    return Row(section, key, entry.text, entry.unit, entry.source, "; ".join(filter(None, (entry.note, note))))

@@ -12,6 +12,8 @@ from continuation.errors import nearest
 from sbg_casadi.derived import BacklashPlane
 from sbg_casadi.entries import Choice, Entry, Kind, Name, Number, Numbers, Quantities, Quantity, Teeth, shown
 from sbg_casadi.errors import PairError
+from sbg_casadi.series_kinds import Shape, TablePath, Whole
+from sbg_casadi.shapes import StiffnessShape
 
 _NAME = Name('a short name without path separators, such as "iso-f2"')
 _LENGTH = Quantity('a positive length with a unit, such as "4.536 mm"', unit="m")
@@ -24,6 +26,7 @@ _ADDED_INERTIA = Quantity(
 _ENDS = Quantities('a list with one positive stiffness for each shaft end, such as ["3e8 N/m", "3e8 N/m"]', unit="N/m")
 _FORCE = Quantity('a positive force with a unit, such as "14193.3 N"', unit="N")
 _DAMPING = Number("a plain number of zero or more, such as 0.02", least=0.0)
+_COAST = Number("a positive plain number, such as 0.9", above=0.0)
 _SERIES = Numbers("a list of at most 200 plain numbers, such as [0.12, 0.03]")
 _SIX = "a list of six plain numbers in the order x_p, y_p, z_p, x_g, y_g, z_g"
 
@@ -103,19 +106,30 @@ class Bearings(Table):
 
 
 class Mesh(Table):
-    """Mean mesh stiffness k_0 and mesh damping ratio xi."""
+    """Mean mesh stiffness k_0, mesh damping ratio xi, stiffness of the coast flank over that of the drive flank."""
 
     stiffness: Annotated[
         Entry[float] | None, Quantity('a positive stiffness with a unit, such as "5.08e8 N/m"', unit="N/m")
     ] = None
     damping_ratio: Annotated[Entry[float], _DAMPING]
+    coast_stiffness_ratio: Annotated[Entry[float] | None, _COAST] = None
 
 
 class Harmonics(Table):
-    """Harmonics of the mesh stiffness over k_0 and of the transmission error over half the backlash."""
+    """Mesh stiffness over its mean, in one of three ways, and harmonics of the error over half the backlash."""
 
     stiffness_cosine: Annotated[Entry[tuple[float, ...]] | None, _SERIES] = None
     stiffness_sine: Annotated[Entry[tuple[float, ...]] | None, _SERIES] = None
+    stiffness_table: Annotated[
+        Entry[str] | None, TablePath('the path of a CSV table beside the pair file, such as "before.csv"')
+    ] = None
+    stiffness_shape: Annotated[
+        Entry[StiffnessShape] | None,
+        Shape("a table such as {contact_ratio = 2.4, peak_to_peak = 0.2, modification = 0.65, rounding = 0.2}"),
+    ] = None
+    stiffness_harmonics: Annotated[Entry[int] | None, Whole("a whole number of harmonics from 1 to 200, such as 7")] = (
+        None
+    )
     error_cosine: Annotated[Entry[tuple[float, ...]] | None, _SERIES] = None
     error_sine: Annotated[Entry[tuple[float, ...]] | None, _SERIES] = None
 
@@ -125,6 +139,14 @@ class Published(Table):
 
     normal_force: Annotated[Entry[float] | None, _FORCE] = None
     tangential_force: Annotated[Entry[float] | None, _FORCE] = None
+
+
+class Printed(Table):
+    """Values of the paper's tables that don't fit together, shown beside what they should be and never used."""
+
+    pinion_base_radius: Annotated[Entry[float] | None, _LENGTH] = None
+    gear_base_radius: Annotated[Entry[float] | None, _LENGTH] = None
+    backlash: Annotated[Entry[float] | None, _LENGTH] = None
 
 
 class SevenCoordinates(Harmonics):
@@ -137,6 +159,7 @@ class SevenCoordinates(Harmonics):
     mass_ratios: Annotated[Entry[tuple[float, ...]], Numbers(f"{_SIX}, all positive", length=6, above=0.0)]
     bearing_stiffness: Annotated[Entry[tuple[float, ...]], Numbers(f"{_SIX}, all positive", length=6, above=0.0)]
     bearing_damping: Annotated[Entry[tuple[float, ...]], Numbers(f"{_SIX}, none negative", length=6, least=0.0)]
+    coast_stiffness_ratio: Annotated[Entry[float] | None, _COAST] = None
 
 
 class PhysicalFile(Table):
@@ -150,6 +173,7 @@ class PhysicalFile(Table):
     mesh: Mesh
     states: dict[str, Harmonics]
     published: Published = Published()
+    paper: Printed = Printed()
 
 
 class DimensionlessFile(Table):
@@ -158,9 +182,6 @@ class DimensionlessFile(Table):
     name: Annotated[Entry[str], _NAME]
     dimensionless: SevenCoordinates
     states: dict[str, Harmonics] = {}
-
-
-_LATER = ("stiffness_table", "stiffness_shape")
 
 
 def read_file(raw: dict[str, Any], place: str) -> PhysicalFile | DimensionlessFile:
@@ -204,8 +225,6 @@ def _sentence(errors: Iterable[Any], form: type[Table]) -> str:
     path = ".".join(loc)
     table = _table(form, loc[:-1])
     if first["type"] == "extra_forbidden":
-        if loc[-1] in _LATER and loc[0] in ("states", "dimensionless"):
-            return f"{path} is not available yet; expected stiffness_cosine and stiffness_sine"
         return f"unknown key {path!r}; {nearest(loc[-1], table.model_fields)}"
     if first["type"] == "missing":
         return f"{path} is missing; expected {_expected(table, loc)}"

@@ -24,6 +24,7 @@ from sbg_casadi.model import gear_system, static_state
 from sbg_casadi.pair import Pair, load_pair
 from sbg_casadi.progress import Progress
 from sbg_casadi.quantities import quantities, speed_warnings
+from sbg_casadi.reading import CONSISTENT, Reading, as_read, reading_name
 from sbg_casadi.response import (
     DONE,
     IN_PART,
@@ -78,6 +79,7 @@ def run_study(
     json_file: Path | None,
     console: Console,
     sweep_points: int = SWEEP_POINTS,
+    reading: Reading = CONSISTENT,
 ) -> int:
     """Compare a pair before and after a modification; print the outcome and write it into a folder.
 
@@ -96,6 +98,8 @@ def run_study(
         Where to print.
     sweep_points : int
         Frequencies of each sweep, from ``start`` to ``stop`` in equal steps.
+    reading : frozenset of int
+        Rows of the ledger taken as printed, for both states.
 
     Returns
     -------
@@ -118,10 +122,11 @@ def run_study(
             "'before' and 'after' to compare, as tables [states.before] and [states.after]"
         )
     span = frequency_span(start, stop)
+    as_read(pair, None, reading)  # refuses a reading that the pair can't have before anything is written
     files = (*_FILES, *(f"{s}-{kind}.nc" for s in COMPARED for kind in _KINDS))
     folder = ResultsFolder.claim(out or Path(f"sbg-study-{pair.name}"), f"sbg study {pair.name}", files, json_file)
-    results, failures = _compute(pair, span, sweep_points, console)
-    document = study_document(pair, span, results) | {"failures": failures}
+    results, failures = _compute(pair, span, sweep_points, reading, console)
+    document = study_document(pair, span, results, reading) | {"failures": failures}
     folder.fill(lambda place: _write(place, document, results, pair, folder.extra))
     if json_file is not None and folder.extra is None:
         write_text_atomic(json_file, to_json(document))
@@ -130,7 +135,7 @@ def run_study(
 
 
 def _compute(
-    pair: Pair, span: tuple[float, float], sweep_points: int, console: Console
+    pair: Pair, span: tuple[float, float], sweep_points: int, reading: Reading, console: Console
 ) -> tuple[list[StateResult], list[str]]:
     """Return the results of the states and a sentence for each that failed; if all did, raise the last error."""
     results: list[StateResult] = []
@@ -139,7 +144,7 @@ def _compute(
         with Progress() as progress:
             for state in COMPARED:
                 try:
-                    results.append(study_state(pair, state, span, sweep_points, progress))
+                    results.append(study_state(pair, state, span, sweep_points, progress, reading))
                 except ContinuationError as error:
                     failures.append(f"state {state!r}: {error}")
                     if len(failures) == len(COMPARED):
@@ -152,7 +157,12 @@ def _compute(
 
 
 def study_state(
-    pair: Pair, state: str, span: tuple[float, float], sweep_points: int, progress: Progress
+    pair: Pair,
+    state: str,
+    span: tuple[float, float],
+    sweep_points: int,
+    progress: Progress,
+    reading: Reading = CONSISTENT,
 ) -> StateResult:
     """Trace one state, sweep it up and down, and compare the two.
 
@@ -161,10 +171,10 @@ def study_state(
     ContinuationError
         If there is no orbit at the first frequency ratio.
     """
-    d = pair.dimensionless(state)
-    problem, branch = trace_response(d, span, report=progress.task(f"{state}: tracing"))
+    d = as_read(pair, state, reading)
+    problem, branch = trace_response(d, span, reading=reading, report=progress.task(f"{state}: tracing"))
     report = progress.task(f"{state}: sweeps")
-    system = gear_system(d)
+    system = gear_system(d, reading)
     march, note = compiled_march(system, min(span))
     sweeps = up_and_down(
         system,
@@ -183,14 +193,17 @@ def study_state(
     return StateResult(state, branch, sweeps, document)
 
 
-def study_document(pair: Pair, span: tuple[float, float], results: list[StateResult]) -> dict[str, Any]:
+def study_document(
+    pair: Pair, span: tuple[float, float], results: list[StateResult], reading: Reading = CONSISTENT
+) -> dict[str, Any]:
     """Return the JSON-ready document of a study; text and figure show its numbers."""
     return {
         "schema": SCHEMA,
         "command": f"sbg study {pair.name}",
         "pair": pair.name,
         "range": list(span),
-        "quantities": quantities(pair, COMPARED[0]),
+        "reading": reading_name(reading),
+        "quantities": quantities(pair, COMPARED[0], reading),
         "warnings": speed_warnings(pair, span),
         "assumed": [row._asdict() for row in pair.rows() if row.source == "assumed"],
         "states": [r.document for r in results],
@@ -225,7 +238,8 @@ def _computation(compilers: list[dict[str, Any]]) -> str:
     notes = "; ".join(dict.fromkeys(c["note"] for c in compilers))
     if all(c["used"] for c in compilers):
         return f"Sweeps: transients {notes}, then CVODES of SUNDIALS through CasADi."
-    return f"Sweeps ran with CVODES of SUNDIALS through CasADi alone ({notes}); a C compiler would shorten the transients."
+    alone = f"Sweeps ran with CVODES of SUNDIALS through CasADi alone ({notes})"
+    return f"{alone}; a C compiler would shorten the transients."
 
 
 def _write(place: Path, document: dict[str, Any], results: list[StateResult], pair: Pair, extra: str | None) -> None:

@@ -99,13 +99,21 @@ def test_options_reach_the_work(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
         "stop": 0.4,
         "smoothing": 0.01,
         "state": "before",
+        "reading": frozenset(),
         "json_file": None,
         "out": Path(out),
     }
     seen.clear()
     assert run("study", "iso-f2").exit_code == 3
     del seen["console"]
-    assert seen == {"pair": "iso-f2", "start": None, "stop": None, "json_file": None, "out": None}
+    assert seen == {
+        "pair": "iso-f2",
+        "start": None,
+        "stop": None,
+        "reading": frozenset(),
+        "json_file": None,
+        "out": None,
+    }
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,7 @@ def random_pair(seed: int, harmonics: int = 3) -> Dimensionless:
         stiffness_sine=some(0.1),
         error_cosine=some(0.3),
         error_sine=some(0.3),
+        coast_stiffness_ratio=rng.uniform(0.5, 1.5),
     )
 
 
@@ -54,7 +55,7 @@ def by_hand(d: Dimensionless, x: np.ndarray, theta: float, ratio: float, torque:
     e = np.dot(d.error_cosine, np.cos(i * theta)) + np.dot(d.error_sine, np.sin(i * theta))
     de = ratio * (-np.dot(i * d.error_cosine, np.sin(i * theta)) + np.dot(i * d.error_sine, np.cos(i * theta)))
     gap = lam - e
-    f = gap - 1 if gap > 1 else gap + 1 if gap < -1 else 0.0
+    f = gap - 1 if gap > 1 else d.coast_stiffness_ratio * (gap + 1) if gap < -1 else 0.0
     g = k * f + 2 * xi * (dlam - de)
     s, mu, kb, cb = d.directions, d.mass_ratios, d.bearing_stiffness, d.bearing_damping
     ddxp = -s[0] * mu[0] * g - 2 * cb[0] * dxp - kb[0] * xp
@@ -111,7 +112,7 @@ def test_outputs_are_mesh_force_and_deflection(seed: int) -> None:
     outputs = ca.substitute(system.outputs, system.phi, system.forces())
     force, deflection = evaluate(system, outputs, x, theta)
     assert deflection == pytest.approx(x[0] - float(d.error(theta)))
-    contact = np.sign(deflection) * max(abs(deflection) - 1, 0)
+    contact = max(deflection - 1, 0) + d.coast_stiffness_ratio * min(deflection + 1, 0)
     step = 1e-6
     rate = (float(d.error(theta + step)) - float(d.error(theta - step))) / (2 * step)  # frequency ratio 1
     expected = float(d.stiffness(theta)) * contact + 2 * d.mesh_damping_ratio * (x[7] - rate)
@@ -164,6 +165,7 @@ def test_numbers_made_in_python_are_checked_too() -> None:
     for key, value, word in [
         ("torque", float("nan"), "finite"),
         ("torque", 0.0, "positive"),
+        ("coast_stiffness_ratio", 0.0, "positive"),
         ("directions", (1.0,), "six"),
         ("bearing_damping", (-1.0,) * 6, "zero or positive"),
         ("stiffness_sine", (0.0,), "equal numbers"),

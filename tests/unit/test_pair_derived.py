@@ -154,7 +154,10 @@ def test_derivative_of_a_series_is_exact() -> None:
     assert found == pytest.approx(exact, abs=1e-14)
 
 
-MODULES = ["cli", "derived", "dimensionless", "entries", "errors", "files", "mesh", "model", "pair", "units"]
+MODULES = [
+    *("cli", "conversion", "derived", "dimensionless", "entries", "errors", "files", "mesh", "model", "pair", "shapes"),
+    *("table_heads", "tables", "units"),
+]
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -205,19 +205,39 @@ WRONG = [  # key, its new line, words of the message
     ("damping_ratio", "damping_ratio = -0.1", ["is negative"]),
     ("damping_ratio", 'damping_ratio = "0.02"', ["not a plain number"]),
     ("damping_ratio", "damping_ratio = inf", ["is not finite"]),
+    ("stiffness", "coast_stiffness_ratio = 0", ["mesh.coast_stiffness_ratio = 0 is not positive", "such as 0.9"]),
     ("stiffness_cosine", "stiffness_cosine = [1.2, 0.0]", ["state 'before'", "reach", "phase", "stays positive"]),
     ("stiffness_cosine", "stiffness_cosine = [0.1, nan]", ["holds nan, which is not finite"]),
     ("stiffness_cosine", "stiffness_cosine = [0.1]", ["1 and stiffness_sine 2 entries", "equal numbers"]),
     ("stiffness_cosine", "stiffness_cosine = 0.1", ["not a list"]),
     ("stiffness_cosine", f"stiffness_cosine = {[0.0] * 201}", ["201 entries"]),
     ("stiffness_cosine", f"stiffness_cosine = [1e{400}]", ["not finite"]),
-    ("stiffness_cosine", 'stiffness_table = "before.csv"', ["states.before.stiffness_table is not available yet"]),
+    ("stiffness_cosine", 'stiffness_table = "b.csv"', ["states.before.stiffness_harmonics is missing", "such as 7"]),
+    ("stiffness_cosine", "stiffness_harmonics = 7", ["without stiffness_table and stiffness_shape"]),
+    ("stiffness_cosine", "stiffness_harmonics = 7.0", ["is not a whole number"]),
+    ("stiffness_cosine", "stiffness_shape = {contact_ratio = 2.4, peak_to_peak = 0.2}", ["stiffness in one way"]),
+    ("stiffness_cosine", "stiffness_shape = {contact_ratio = 2.4}", ["has no peak_to_peak"]),
+    ("stiffness_cosine", "stiffness_shape = {contact = 2.4}", ["unknown key 'contact'", "'contact_ratio'"]),
+    ("stiffness_cosine", "stiffness_shape = {contact_ratio = 1, peak_to_peak = 0.2}", ["contact_ratio = 1, which"]),
+    ("stiffness_cosine", "stiffness_table = 3", ["states.before.stiffness_table = 3 is not text"]),
     ("error_cosine", "error_cosin = [0.05]", ["unknown key 'states.before.error_cosin'", "'error_cosine'"]),
     ("name", "", ["name is missing"]),
     ("name", 'name = "../mine"', ["can't be part of a file name"]),
     ("name", 'name = ""', ["is empty"]),
     ("name", 'mesh_stiffness = 3\nname = "mine"', ["unknown key 'mesh_stiffness'"]),
 ]
+
+
+@pytest.mark.parametrize(("text", "section"), [(PHYSICAL, "mesh"), (DIMENSIONLESS, "dimensionless")])
+def test_stiffness_of_the_coast_flank_reaches_numbers_rows_and_text(load: Load, text: str, section: str) -> None:
+    key = "coast_stiffness_ratio"
+    assert load(text).dimensionless().coast_stiffness_ratio == 1.0
+    assert key not in load(text).to_toml()
+    entry = f'{key} = {{value = 0.9, source = "assumed", note = "other curvature"}}\n'
+    pair = load(text.replace(f"[{section}]\n", f"[{section}]\n{entry}"))
+    assert {pair.dimensionless(state).coast_stiffness_ratio for state in pair.states} == {0.9}
+    assert (section, key, "0.9", "", "assumed", "other curvature") in pair.rows()
+    assert load(pair.to_toml()) == pair
 
 
 @pytest.mark.parametrize(("key", "line", "words"), WRONG, ids=[f"{k}-{i}" for i, (k, _, _) in enumerate(WRONG)])
