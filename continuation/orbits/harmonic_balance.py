@@ -172,14 +172,14 @@ class HarmonicBalanceProblem:
         """Return residual harmonics, port receptance, the ports' load V = W + S Y and the forcing of the states."""
         r, orders = self.receptance(p), np.arange(len(Y))
         transfer = self.transfer(p, orders)
-        V = W + (r.stiffness(orders) @ Y[..., None])[..., 0]
+        V = W + _product(r.stiffness(orders), Y[..., None])[..., 0]
         u = self.ports.forcing(self.vector(p)).u
         n = self.period_multiple
         keep = min(len(u), (len(Y) - 1) // n + 1)
         few = (keep - 1) * n + 1  # harmonics that are forced
         driven = np.zeros((few, u.shape[1]), dtype=complex)
         driven[::n] = u[:keep]
-        R = Y - (transfer @ V[..., None])[..., 0]
+        R = Y - _product(transfer, V[..., None])[..., 0]
         R[:few] -= self.states(p, driven) @ r.part.C.T
         return R, transfer, V, driven
 
@@ -247,13 +247,13 @@ class HarmonicBalanceProblem:
         stiffness = self.receptance(p).stiffness(np.arange(n))
         middle = len(force.slope) // 2
         tail = np.zeros_like(longer)
-        own = np.eye(k) - transfer[H + 1 :] @ (force.slope[middle] + stiffness[H + 1 :])
-        tail[H + 1 :] = -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
+        own = np.eye(k) - _product(transfer[H + 1 :], force.slope[middle] + stiffness[H + 1 :])
+        tail[H + 1 :] = -R[H + 1 :] / own[:, 0] if k == 1 else -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
         # what the tail does to the harmonics kept: the port force it adds, through the linearised balance
         minus, plus = middle + _differences(H + 1, n), middle + _sums(H + 1, n)
         added = np.einsum("klab,lb->ka", force.slope[minus], tail[H + 1 :])
         added += np.einsum("klab,lb->ka", force.slope[plus], tail[H + 1 :].conj())
-        low = (transfer[: H + 1] @ added[..., None])[..., 0]
+        low = _product(transfer[: H + 1], added[..., None])[..., 0]
         J, Fp = self._linearised(u, p)
         self.factorisations += 1
         across = np.linalg.solve(J, np.stack([pack(low), Fp], axis=1))
@@ -402,6 +402,11 @@ class HarmonicBalanceProblem:
 
 def _key(u: np.ndarray, p: float) -> bytes:
     return u.tobytes() + np.float64(p).tobytes()
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Multiply stacks of small matrices; one by one, that is elementwise, for a single port."""
+    return a * b if a.shape[-2:] == b.shape[-2:] == (1, 1) else a @ b
 
 
 def _differences(low: int, high: int) -> np.ndarray:
