@@ -29,7 +29,7 @@ def switch(
     Parameters
     ----------
     point : SpecialPoint
-        A period-doubling of a branch traced with harmonic balance in this session.
+        A period-doubling of a branch traced with harmonic balance, not loaded from a file.
     span : (float, float)
         Parameter range, which must contain the point.
     step, max_step : float, optional

@@ -63,7 +63,7 @@ def track(
     Parameters
     ----------
     point : SpecialPoint
-        A fold or period-doubling of a branch traced with harmonic balance in this session.
+        A fold or period-doubling of a branch traced with harmonic balance, not loaded from a file.
     parameters : (str, str)
         The parameter the point was located in, and the second one.
     span : mapping
