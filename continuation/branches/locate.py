@@ -39,6 +39,8 @@ def locate(suspect: Suspect) -> Located | str:
     segment = suspect.segment
     kind = _kind(suspect)
     test = _tests(segment.problem, kind)
+    if kind == "neimark-sacker" and not np.isfinite(test(_interpolated(segment, suspect.x))):
+        return ""  # two real multipliers with product 1, a neutral saddle, are no torus point
     reason = ""
     for x0 in (suspect.x, 0.5, 0.0, 1.0):
         try:
@@ -47,8 +49,6 @@ def locate(suspect: Suspect) -> Located | str:
             return _rising(segment, kind, test, x0)
         except NoConvergence as failure:
             reason = str(failure)
-            if reason == "neutral saddle":
-                return ""
     a, b = sorted((segment.a.p, segment.b.p))
     return f"{segment.problem.parameter} in [{a:.10g}, {b:.10g}]: {kind} seen but not located ({reason})"
 
@@ -75,11 +75,11 @@ def _tests(problem: Any, kind: Kind) -> Callable[[Node], float]:
 
         return touch
 
-    def modulus(node: Node) -> float:
+    def modulus(node: Node) -> float:  # NaN without a complex pair
         mu = np.linalg.eigvals(problem.monodromies([(node.u, node.p)])[0])
         pairs = mu[mu.imag > 1e-9]
         if not pairs.size:
-            raise NoConvergence("neutral saddle")
+            return np.nan
         nearest = pairs[np.argmin(np.abs(np.abs(pairs) - 1))]
         return float(np.abs(nearest) - 1)
 
@@ -93,7 +93,7 @@ def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: floa
     like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
     x, node, slope = _secant(segment, test, x, like, None, scale)
     found, changes = node, []
-    fixed = problem.method.harmonics is not None if hasattr(problem.method, "harmonics") else False
+    fixed = getattr(problem.method, "harmonics", None) is not None
     error = np.inf
     while True:
         longer = problem.refined(node.u, node.p)
@@ -113,7 +113,7 @@ def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: floa
 
 
 def _scale(segment: Segment) -> float:
-    """Return the size of the parameter on a segment; its length where the parameter passes through 0."""
+    """Return the size of the parameter on a segment, 1 where it is 0."""
     a, b = segment.a.p, segment.b.p
     return max(abs(a), abs(b)) or 1.0
 
@@ -132,6 +132,13 @@ def _branch_point(segment: Segment, test: Callable[[Node], float], x: float) -> 
     return _result("branch-point", node, error + _ROOT * scale, segment, x)
 
 
+def _interpolated(segment: Segment, x: float) -> Node:
+    """Return the point of the cubic between the ends of a segment, as if it were a true one."""
+    (u, p), (du, dp) = segment.at(np.array([x]))[0], segment.direction(x)
+    size = segment.metric.length(du, dp)
+    return Node(u, p, du / size, dp / size, segment.a.sign, 0)
+
+
 def _between(segment: Segment, test: Callable[[Node], float], x: float, like: np.ndarray) -> tuple[float, Node, float]:
     """Return coordinate, node and last change of the parameter of a branch point, from true points closer and closer.
 
@@ -144,9 +151,7 @@ def _between(segment: Segment, test: Callable[[Node], float], x: float, like: np
         inner = Segment(segment.problem, segment.metric, *ends)
 
         def at(y: float, inner: Segment = inner) -> Node:
-            (u, p), (du, dp) = inner.at(np.array([y]))[0], inner.direction(y)
-            size = inner.metric.length(du, dp)
-            return Node(u, p, du / size, dp / size, inner.a.sign, 0)
+            return _interpolated(inner, y)
 
         if test(at(0.0)) * test(at(1.0)) > 0:
             raise NoConvergence("no sign change between true points on both sides")
@@ -157,8 +162,9 @@ def _between(segment: Segment, test: Callable[[Node], float], x: float, like: np
 
 
 def _result(kind: Kind, node: Node, error: float, segment: Segment, x: float) -> Located:
-    good = error <= 3 * _GOAL * _scale(segment)
-    note = "" if good else "more harmonics are needed for an error below 1e-8"
+    bound = 3 * _GOAL * _scale(segment)
+    good = error <= bound
+    note = "" if good else f"more harmonics are needed for an error below {bound:.0e}"
     return Located(kind, node, error, segment, x, "located" if good else "guessed", note)
 
 
@@ -186,6 +192,8 @@ def _secant(
             low, high = (0.0, ends[0]), (1.0, ends[1])
     node = segment.node(x, like)
     value = test(node)
+    if not np.isfinite(value):
+        raise NoConvergence("there is no complex pair of multipliers nearby")
     if slope is None:
         step = 1e-3 if x < 0.5 else -1e-3
         slope = (test(segment.node(x + step, like, (x, node))) - value) / step

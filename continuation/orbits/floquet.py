@@ -11,7 +11,7 @@ from continuation.orbits.monodromy import monodromy, multipliers
 from continuation.orbits.orbit import Orbit, Stability
 from continuation.orbits.spectrum import resize
 
-_FLOOR = 1e-10  # error of the transition integrator and of the eigenvalues of a well-conditioned matrix
+FLOOR = 1e-10  # error of the transition integrator and of the eigenvalues of a well-conditioned matrix
 
 
 def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
@@ -32,23 +32,28 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
     mu, shifted = multipliers(flow.matrices), multipliers(other.matrices)
     orbits = []
     for i, (u, p, error) in enumerate(points):
-        bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + _FLOOR
-        orbits.append(
-            Orbit(
-                system=problem.system.name,
-                state_names=problem.system.state_names,
-                parameter=problem.parameter,
-                parameters=dict(zip(problem.system.parameter_names, problem.vector(p).tolist(), strict=True)),
-                period=2 * np.pi / problem.frequency(p),
-                period_multiple=problem.period_multiple,
-                coefficients=problem.state_spectrum(u, p),
-                multipliers=mu[i],
-                multiplier_error=bar,
-                stability=verdict(mu[i], bar),
-                error=error,
-            )
-        )
+        bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + FLOOR
+        orbits.append(build_orbit(problem, p, problem.state_spectrum(u, p), mu[i], bar, error))
     return orbits
+
+
+def build_orbit(
+    problem: Any, p: float, coefficients: np.ndarray, mu: np.ndarray, bar: np.ndarray, error: float
+) -> Orbit:
+    """Return the Orbit of a problem at p from state harmonics, multipliers, their error bars and the waveform error."""
+    return Orbit(
+        system=problem.system.name,
+        state_names=problem.system.state_names,
+        parameter=problem.parameter,
+        parameters=dict(zip(problem.system.parameter_names, problem.vector(p).tolist(), strict=True)),
+        period=2 * np.pi / problem.frequency(p),
+        period_multiple=problem.period_multiple,
+        coefficients=coefficients,
+        multipliers=mu,
+        multiplier_error=bar,
+        stability=verdict(mu, bar),
+        error=error,
+    )
 
 
 def distance(mu: np.ndarray, other: np.ndarray) -> np.ndarray:

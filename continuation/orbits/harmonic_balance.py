@@ -201,10 +201,10 @@ class HarmonicBalanceProblem:
         self._last = (u, p, J, Fp)
         return pack(R), J, Fp
 
-    def _parameter_derivative(self, u: np.ndarray, p: float, load: np.ndarray, V: np.ndarray) -> np.ndarray:
+    def _parameter_derivative(self, u: np.ndarray, p: float, driven: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Return dF/dp: analytic for a frequency that acts through the phase, else central differences of F."""
         if self._index == self._frequency and not self.ports.frequency_explicit:
-            return pack(self._phase_derivative(p, load, V))
+            return pack(self._phase_derivative(p, driven, V))
         h = 6e-6 * self.parameter_scale(p)  # relative error about h^2 = 4e-11 and 1e-16 / h = 2e-11
         return (self.residual(u, p + h) - self.residual(u, p - h)) / (2 * h)
 
@@ -273,9 +273,8 @@ class HarmonicBalanceProblem:
         """Return dF/du and dF/dp, the ones of the last Newton step where that was close by."""
         last = self._last
         if last is not None and len(last[0]) == len(u):
-            moved = np.linalg.norm(last[0] - u) / max(float(np.linalg.norm(u)), 1e-12) + abs(last[1] - p) / abs(
-                p or 1.0
-            )
+            du, dp = float(np.linalg.norm(last[0] - u)), abs(last[1] - p)
+            moved = du / size_of(u) + dp / self.parameter_scale(p)
             if moved < 1e-4:
                 return last[2], last[3]
         return self.linearise(u, p)[1:]

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from continuation.orbits.floquet import distance, verdict
+from continuation.orbits.floquet import FLOOR, build_orbit, distance
 from continuation.orbits.monodromy import multipliers
 from continuation.orbits.orbit import Orbit
 
 _SAMPLES = 512  # per excitation period
-_FLOOR = 1e-10
 
 
 def sampled_orbit(problem: Any, u: np.ndarray, p: float, error: float) -> Orbit:
@@ -25,17 +24,5 @@ def sampled_orbit(problem: Any, u: np.ndarray, p: float, error: float) -> Orbit:
     moved = u + error / np.sqrt(len(u))
     matrices = np.array([problem.monodromy(u, p), problem.tight_monodromy(u, p), problem.monodromy(moved, p)])
     mu, tight, other = multipliers(matrices)
-    bar = distance(mu, tight) + distance(mu, other) + _FLOOR
-    return Orbit(
-        system=problem.system.name,
-        state_names=problem.system.state_names,
-        parameter=problem.parameter,
-        parameters=dict(zip(problem.system.parameter_names, problem.vector(p).tolist(), strict=True)),
-        period=2 * np.pi / problem.frequency(p),
-        period_multiple=problem.period_multiple,
-        coefficients=spectrum,
-        multipliers=mu,
-        multiplier_error=bar,
-        stability=verdict(mu, bar),
-        error=error,
-    )
+    bar = distance(mu, tight) + distance(mu, other) + FLOOR
+    return build_orbit(problem, p, spectrum, mu, bar, error)

@@ -214,7 +214,7 @@ class ShootingProblem:
         return
 
     def point_error(self, node: Any, kind: str) -> float:
-        """Return the parameter error of a special point: its change when the orbit is moved by its own error."""
+        """Return the parameter error of a special point: that of the shortest way from it to the exact branch."""
         return self.error(node.u, node.p)
 
     def unknown(self, orbit: Orbit) -> np.ndarray:
