@@ -7,6 +7,8 @@ from continuation.branches.tracking import Curve, track
 from continuation.errors import ContinuationError, NoConvergence, SingularLinearPart, UnsupportedModel
 from continuation.model.contact import Contact
 from continuation.model.system import System
+from continuation.orbits.certificate import Certificate, certify
+from continuation.orbits.collocation import Collocation
 from continuation.orbits.harmonic_balance import HarmonicBalance
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.shooting import Shooting
@@ -18,6 +20,8 @@ from continuation.timedomain.sweep_result import Sweep
 __all__ = [
     "CVODES",
     "Branch",
+    "Certificate",
+    "Collocation",
     "Contact",
     "ContinuationError",
     "Curve",
@@ -30,6 +34,7 @@ __all__ = [
     "Sweep",
     "System",
     "UnsupportedModel",
+    "certify",
     "sweep",
     "switch",
     "trace",

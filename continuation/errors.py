@@ -19,12 +19,58 @@ class NoConvergence(ContinuationError):
         Norm of the residual at every iteration.
     parameter : float or None
         Continuation parameter at which it failed.
+    orbit : Orbit or None
+        The last good orbit, where there was one to start from.
     """
 
-    def __init__(self, message: str, history: Iterable[float] = (), parameter: float | None = None) -> None:
+    def __init__(
+        self,
+        message: str,
+        history: Iterable[float] = (),
+        parameter: float | None = None,
+        orbit: object | None = None,
+    ) -> None:
         super().__init__(message)
         self.history = tuple(history)
         self.parameter = parameter
+        self.orbit = orbit
+
+
+class IntegrationFailed(ContinuationError):
+    """An integration in the time domain could not be finished.
+
+    Attributes
+    ----------
+    phase : float
+        Excitation phase reached, in rad.
+    parameters : dict of str to float
+        All parameter values.
+    """
+
+    def __init__(self, message: str, phase: float, parameters: dict[str, float]) -> None:
+        super().__init__(message)
+        self.phase = phase
+        self.parameters = parameters
+
+
+class Runaway(IntegrationFailed):
+    """The state leaves the finite numbers."""
+
+
+class Chattering(IntegrationFailed):
+    """Contacts open and close again and again without the integration advancing."""
+
+
+class TooManySteps(IntegrationFailed):
+    """The allowed steps do not suffice: the model is too stiff, or the tolerance too tight."""
+
+
+class RestingContact(IntegrationFailed):
+    """A contact argument rests on a breakpoint, where the force law has a corner and the flow no derivative."""
+
+
+class GrazingContact(IntegrationFailed):
+    """A contact argument only touches a breakpoint, where second derivatives of the flow are infinite."""
 
 
 class SingularLinearPart(ContinuationError):

@@ -36,6 +36,13 @@ _ORBIT_VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
     "waveform_error": ((), "units of the states", "estimated largest error of the waveform"),
     "rms": (("state",), "units of the states", "root mean square about the mean"),
 }
+# Absent from files of earlier versions, which still load.
+_LATER_VARIABLES: dict[str, tuple[tuple[str, ...], str, str]] = {
+    "second_opinion": (("multiplier",), "1", "difference of each multiplier from a second method; NaN: not asked"),
+    "contact_count": (("contact",), "1", "number of contact changes over the orbit's period; what follows is padding"),
+    "contact_phases": (("contact", "change"), "rad", "excitation phases at which a contact changes its linear piece"),
+    "contact_modes": (("contact", "interval"), "1", "linear piece before the first change and after each"),
+}
 
 
 def save_branch(branch: Branch, path: str | Path) -> None:
@@ -58,7 +65,8 @@ def save_branch(branch: Branch, path: str | Path) -> None:
     Notes
     -----
     Dimensions are ``point``, ``special_point``, ``state``, ``harmonic``, ``multiplier``, ``parameter_name`` and
-    ``complex`` (real, imaginary). Orbits of fewer harmonics are padded with zeros, ``harmonic_count`` tells.
+    ``complex`` (real, imaginary); with contacts also ``contact``, ``change`` and ``interval``. Orbits of fewer
+    harmonics are padded with zeros, ``harmonic_count`` tells; those of fewer contact changes with NaN and -1.
     Texts and counts of the branch are attributes of the file, nested ones as JSON.
 
     Examples
@@ -113,13 +121,15 @@ def _dataset(branch: Branch) -> xr.Dataset:
     first, points = branch.orbits[0], branch.special_points
     at_points = [p.orbit for p in points]
     for orbit in (*branch.orbits, *at_points):
-        same = (orbit.system, orbit.state_names, orbit.parameter, tuple(orbit.parameters))
-        if same != (first.system, first.state_names, first.parameter, tuple(first.parameters)):
+        if _kind(orbit) != _kind(first):
             raise ValueError(f"branch of several systems: {first.system!r} and {orbit.system!r} don't go into one file")
     most = max(o.harmonic_count for o in (*branch.orbits, *at_points))
+    longest = max((len(t) for o in (*branch.orbits, *at_points) for t, _ in o.contacts.values()), default=0)
     variables = {
         **_orbit_variables(branch.orbits, "", "point", most, first),
         **_orbit_variables(at_points, "special_", "special_point", most, first),
+        **_contact_variables(branch.orbits, "", "point", longest, first),
+        **_contact_variables(at_points, "special_", "special_point", longest, first),
         **_point_variables(points),
         "parameter": ("point", branch.parameter, about(first.parameter, "units of the system")),
     }
@@ -129,6 +139,8 @@ def _dataset(branch: Branch) -> xr.Dataset:
         "harmonic": ("harmonic", np.arange(most + 1), about("harmonic order over the orbit's period", "1")),
         "complex": ("complex", ["real", "imaginary"], {"long_name": "part of a complex number"}),
     }
+    if first.contacts:
+        coordinates["contact"] = ("contact", list(first.contacts), {"long_name": "contact of the system"})
     attributes = {
         "title": f"branch of periodic orbits of {first.system}",
         "format": FORMAT,
@@ -141,6 +153,10 @@ def _dataset(branch: Branch) -> xr.Dataset:
         "unresolved": json.dumps(list(branch.unresolved)),
     }
     return xr.Dataset(variables, coordinates, attributes)
+
+
+def _kind(orbit: Orbit) -> tuple:
+    return orbit.system, orbit.state_names, orbit.parameter, tuple(orbit.parameters), tuple(orbit.contacts)
 
 
 def _orbit_variables(orbits: Sequence[Orbit], prefix: str, dimension: str, most: int, like: Orbit) -> dict[str, Any]:
@@ -157,14 +173,35 @@ def _orbit_variables(orbits: Sequence[Orbit], prefix: str, dimension: str, most:
         "stability": ((), [_STABILITY.index(o.stability) for o in orbits]),
         "waveform_error": ((), [o.error for o in orbits]),
         "rms": ((n,), [[o.rms(s) for s in o.state_names] for o in orbits]),
+        "second_opinion": ((wide,), [o.second_opinion for o in orbits]),
     }
     whole = {"period_multiple": np.int64, "harmonic_count": np.int64, "stability": np.int8}
     variables = {}
     for name, (shape, rows) in columns.items():
         values = np.array(rows, dtype=whole.get(name, np.float64)).reshape(len(orbits), *shape)
-        dimensions, unit, text = _ORBIT_VARIABLES[name]
+        dimensions, unit, text = (_ORBIT_VARIABLES | _LATER_VARIABLES)[name]
         extra = flags(_STABILITY) if name == "stability" else {}
         variables[prefix + name] = ((dimension, *dimensions), values, about(text, unit) | extra)
+    return variables
+
+
+def _contact_variables(
+    orbits: Sequence[Orbit], prefix: str, dimension: str, longest: int, like: Orbit
+) -> dict[str, Any]:
+    """Return the contact patterns as tables padded with NaN and -1, nothing for a system without contacts."""
+    if not like.contacts:
+        return {}
+    count = np.zeros((len(orbits), len(like.contacts)), dtype=np.int64)
+    phases = np.full((*count.shape, longest), np.nan)
+    modes = np.full((*count.shape, longest + 1), -1, dtype=np.int64)
+    for i, orbit in enumerate(orbits):
+        for j, (changes, pieces) in enumerate(orbit.contacts.values()):
+            count[i, j] = len(changes)
+            phases[i, j, : len(changes)], modes[i, j, : len(pieces)] = changes, pieces
+    variables = {}
+    for name, values in (("contact_count", count), ("contact_phases", phases), ("contact_modes", modes)):
+        dimensions, unit, text = _LATER_VARIABLES[name]
+        variables[prefix + name] = ((dimension, *dimensions), values, about(text, unit))
     return variables
 
 
@@ -199,6 +236,7 @@ def _orbits(data: xr.Dataset, prefix: str, dimension: str) -> list[Orbit]:
     names = tuple(str(s) for s in data["state"].values)
     keys = [str(k) for k in data["parameter_name"].values]
     column = {name: data[prefix + name].values for name in _ORBIT_VARIABLES}
+    opinion = data.get(prefix + "second_opinion")
     return [
         Orbit(
             system=str(data.attrs["system"]),
@@ -212,9 +250,19 @@ def _orbits(data: xr.Dataset, prefix: str, dimension: str) -> list[Orbit]:
             multiplier_error=column["multiplier_error"][i].copy(),
             stability=_STABILITY[int(column["stability"][i])],
             error=float(column["waveform_error"][i]),
+            contacts=_contacts(data, prefix, i),
+            second_opinion=np.nan if opinion is None else opinion.values[i],  # type: ignore[arg-type]
         )
         for i in range(data.sizes.get(dimension, 0))
     ]
+
+
+def _contacts(data: xr.Dataset, prefix: str, i: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    if prefix + "contact_count" not in data:  # a system without contacts, or a file of an earlier version
+        return {}
+    count, phases, modes = (data[f"{prefix}contact_{k}"].values[i] for k in ("count", "phases", "modes"))
+    names = [str(name) for name in data["contact"].values]
+    return {name: (phases[j, : count[j]], modes[j, : count[j] + 1]) for j, name in enumerate(names)}
 
 
 def _special_point(data: xr.Dataset, i: int, orbit: Orbit) -> SpecialPoint:

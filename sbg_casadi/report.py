@@ -49,14 +49,15 @@ def response_report(document: Document) -> list[RenderableType]:
     law = f"smoothed backlash law, width {document['smoothing']:g}" if document["smoothing"] else "exact backlash law"
     first, last = document["range"]
     head = f"{document['pair']}, state {document['state']}: period-1 response, ratio {first:g} to {last:g}, {law}"
-    head += _reading(document)
+    head += reading_words(document)
     parts: list[RenderableType] = [Text(head, style="bold")]
     for branch in document["branches"]:
         parts += branch_report(branch)
     return parts
 
 
-def _reading(document: Document) -> str:
+def reading_words(document: Document) -> str:
+    """Return what a heading says about the reading of a document, nothing for the consistent one."""
     reading = document["reading"]
     return "" if reading == "consistent" else f", equations in the reading {reading}"
 
@@ -92,7 +93,9 @@ def _peak(peak: Document) -> str:
 
 def _special_points(branch: Document) -> Table:
     rpm = any(p["pinion_rpm"] is not None for p in branch["special_points"])
-    table = _table("special point", ">frequency ratio", ">error", *([">pinion rpm"] if rpm else []), ">RMS", "status")
+    table = plain_table(
+        "special point", ">frequency ratio", ">error", *([">pinion rpm"] if rpm else []), ">RMS", "status"
+    )
     for p in branch["special_points"]:
         status = p["status"] + (f": {p['note']}" if p["note"] else "")
         speeds = [speed(p["pinion_rpm"])] if rpm else []
@@ -107,11 +110,11 @@ def study_report(document: Document) -> list[RenderableType]:
     first, last = document["range"]
     names = " and ".join(s["state"] for s in document["states"])
     head = f"{document['pair']}: {names}, frequency ratio {first:g} to {last:g}, exact backlash law"
-    head += _reading(document)
+    head += reading_words(document)
     parts: list[RenderableType] = [Text(head, style="bold"), _quantities(document["quantities"])]
     parts += [Text(f"Warning: {text}", style="yellow") for text in document["warnings"]]
     if document["assumed"]:
-        parts.append(_assumed(document["assumed"]))
+        parts.append(assumed_table(document["assumed"]))
     parts += [Text(f"FINISHED IN PART: {text}", style="bold red") for text in document["failures"]]
     for state in document["states"]:
         title = f"{state['state']} ({_percent(state['stiffness_peak_to_peak'])} peak-to-peak stiffness fluctuation)"
@@ -130,14 +133,15 @@ def _percent(part: float) -> str:
 
 
 def _quantities(rows: Iterable[Document]) -> Table:
-    table = _table("quantity", ">value", "unit", "note")
+    table = plain_table("quantity", ">value", "unit", "note")
     for row in rows:
         table.add_row(row["name"], row["text"], Text(row["unit"]), Text(row["note"]))
     return table
 
 
-def _assumed(rows: Sequence[Document]) -> Table:
-    table = _table("assumed value", "value", "unit", "note")
+def assumed_table(rows: Sequence[Document]) -> Table:
+    """Return the table of the assumed values of a pair."""
+    table = plain_table("assumed value", "value", "unit", "note")
     for row in rows:
         key = f"[{row['section']}] {row['key']}" if row["section"] else row["key"]
         table.add_row(Text(key), Text(row["value"]), Text(row["unit"]), Text(row["note"]))
@@ -177,7 +181,7 @@ def check_report(check: Document) -> list[Text]:
 
 def _comparison(comparison: Document) -> Table:
     names = list(comparison["states"])
-    table = _table("", *(f">{n}" for n in names), ">change")
+    table = plain_table("", *(f">{n}" for n in names), ">change")
     for key, words in (
         ("largest_rms", "largest RMS of the traced orbits"),
         ("largest_stable_rms", "largest RMS of stable ones"),
@@ -195,7 +199,7 @@ def _comparison(comparison: Document) -> Table:
     return table
 
 
-def _table(*columns: str) -> Table:
+def plain_table(*columns: str) -> Table:
     """Return a plain table; a column whose heading begins with > is aligned to the right."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for heading in columns:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from continuation import HarmonicBalance, trace
 from continuation.branches.branch import Branch
-from sbg_casadi.cli import DEFAULT_RANGE, check_range, check_smoothing
 from sbg_casadi.dimensionless import Dimensionless
 from sbg_casadi.documents import response_document, to_json
 from sbg_casadi.files import check_writable, write_text_atomic
 from sbg_casadi.model import gear_system
+from sbg_casadi.options import DEFAULT_RANGE, check_range, check_smoothing
 from sbg_casadi.pair import Pair, load_pair
 from sbg_casadi.progress import Progress, Report, silent
 from sbg_casadi.reading import CONSISTENT, Reading, as_read, reading_name

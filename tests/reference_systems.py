@@ -319,3 +319,38 @@ def near(points: Sequence[float], wanted: Sequence[float]) -> float:
     if len(points) != len(wanted):
         return float("inf")
     return float(np.abs(np.sort(points) - np.sort(wanted)).max())
+
+
+# ------------------------------------------------------------------------------------------------ autonomous
+def lorenz() -> System:
+    """The Lorenz equations, sigma = 10, b = 8/3, at high r (Sparrow, The Lorenz Equations)."""
+    x, y, z, r = symbols("x", "y", "z", "r")
+    return System(
+        name="lorenz",
+        states={"x": x, "y": y, "z": z},
+        derivatives={"x": 10 * (y - x), "y": r * x - y - x * z, "z": x * y - 8 / 3 * z},
+        parameters={"r": (r, 240.0)},
+    )
+
+
+def third_order() -> System:
+    """x''' + alpha x'' + x' + x = x^2: a cycle is born at the Hopf point alpha = 1 and doubles at 0.6303020062."""
+    x, y, z, alpha = symbols("x", "y", "z", "alpha")
+    return System(
+        name="third-order",
+        states={"x": x, "y": y, "z": z},
+        derivatives={"x": y, "y": z, "z": -alpha * z - y - x + x**2},
+        parameters={"alpha": (alpha, 0.9)},
+    )
+
+
+def enzyme() -> System:
+    """Two concentrations with inhibition by the substrate: cycles between two Hopf points, with two folds."""
+    s, a, rho = symbols("S", "A", "rho")
+    rate = rho * s * a / (1 + s + 0.1 * s**2)
+    return System(
+        name="enzyme",
+        states={"S": s, "A": a},
+        derivatives={"S": 110 - s - rate, "A": 0.2 * (500 - a) - rate},
+        parameters={"rho": (rho, 4.0)},
+    )

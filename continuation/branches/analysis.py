@@ -19,7 +19,6 @@ from continuation.branches.newton import Metric, Node
 from continuation.branches.screening import Suspect, screen
 from continuation.orbits.orbit import Orbit
 
-_VERTICAL = 1e-7  # parameter component of a tangent that counts as none
 _WEIGHT = {"fold": 1, "branch-point": 1, "period-doubling": 1, "neimark-sacker": 2, "grazing": 0}
 
 
@@ -39,7 +38,7 @@ def analyse(
             progress(1.0, f"{len(nodes)} orbits; searching special points")
         if len(nodes) > 1:
             nodes, suspects, notes = screen(problem, nodes, metric)
-            notes += _vertical(problem, nodes)
+            notes += _vertical(problem, nodes, metric)
             for suspect in _with_turns(problem, nodes, metric, suspects):
                 found = locate(suspect)
                 if isinstance(found, Located):
@@ -70,7 +69,7 @@ def analyse(
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    notes += _unexplained(path, points)
+    notes += _unexplained(path, points, problem.system.autonomous)
     return Branch(tuple(path), tuple(points), stop, work, provenance, tuple(dict.fromkeys(notes)))
 
 
@@ -81,21 +80,20 @@ def _error(problem: Any, node: Node) -> float:
 def _with_turns(problem: Any, nodes: list[Node], metric: Metric, suspects: list[Suspect]) -> list[Suspect]:
     """Add the intervals in which the branch turns although no multiplier was seen to cross 1 there."""
     seen = {(id(s.segment.a)) for s in suspects if s.test == 0}
-    out = [s for s in suspects if s.test != 0 or not _neutral(s.segment.a, s.segment.b)]
-    for a, b in pairwise(nodes):
-        if a.tp * b.tp < 0 and id(a) not in seen and not _neutral(a, b):
-            out.append(Suspect(0, Segment(problem, metric, a, b), a.tp / (a.tp - b.tp)))
+    out = [s for s in suspects if s.test != 0 or not s.segment.vertical]
+    segments = [Segment(problem, metric, a, b) for a, b in pairwise(nodes)]
+    flat = {id(n) for s in segments if s.vertical for n in (s.a, s.b)}
+    for s in segments:
+        # the slope of a node on a vertical piece is noise: its neighbour's must agree with the way from it
+        slopes = [s.b.p - s.a.p if id(n) in flat else n.tp for n in (s.a, s.b)]
+        if slopes[0] * slopes[1] < 0 and id(s.a) not in seen and not s.vertical:
+            out.append(Suspect(0, s, slopes[0] / (slopes[0] - slopes[1])))
     return out
 
 
-def _neutral(a: Node, b: Node) -> bool:
-    """Whether the branch is vertical at one of two neighbours and does not leave that parameter between them."""
-    return min(abs(a.tp), abs(b.tp)) < _VERTICAL * max(abs(a.p), 1e-3) and abs(a.p - b.p) < 1e-9 * max(abs(a.p), 1e-3)
-
-
-def _vertical(problem: Any, nodes: list[Node]) -> list[str]:
+def _vertical(problem: Any, nodes: list[Node], metric: Metric) -> list[str]:
     """Return a note for every parameter at which the branch is a vertical line of neutral orbits."""
-    places = {f"{a.p:.9g}" for a, b in pairwise(nodes) if _neutral(a, b)}
+    places = {f"{a.p:.9g}" for a, b in pairwise(nodes) if Segment(problem, metric, a, b).vertical}
     return [
         f"{problem.parameter} = {p}: a family of neutral orbits at one parameter value (the model is linear along it); "
         "folds are not looked for there"
@@ -133,6 +131,7 @@ def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node], index: int
         status="located" if s.status == "located" else "guessed",
         note=s.note,
         problem=problem,
+        node=s.node,
     )
 
 
@@ -141,18 +140,28 @@ def _along(nodes: list[Node], point: SpecialPoint) -> float:
     return point.parameter * (1.0 if node.tp >= 0 else -1.0)
 
 
-def _unstable(orbit: Orbit) -> int | None:
-    """Return the number of multipliers certainly outside the unit circle, None where it is undecided."""
-    outside = np.abs(orbit.multipliers) - 1
-    if np.any(np.abs(outside) <= orbit.multiplier_error):
+def _unstable(orbit: Orbit, autonomous: bool) -> int | None:
+    """Return the number of multipliers certainly outside the unit circle, None where it is undecided.
+
+    Of an autonomous System the multiplier 1 of the flow direction is left out.
+    """
+    mu, bar = orbit.multipliers, orbit.multiplier_error
+    if autonomous and np.isfinite(mu).all():
+        trivial = int(np.argmin(np.abs(mu - 1)))
+        mu, bar = np.delete(mu, trivial), np.delete(bar, trivial)
+    outside = np.abs(mu) - 1
+    if not np.all(np.abs(outside) > bar):  # also when one is not a number
         return None
     return int(np.sum(outside > 0))
 
 
-def _unexplained(path: list[Orbit], points: list[SpecialPoint]) -> list[str]:
-    """Return a note for every change of the number of unstable multipliers that the located points do not explain."""
+def _unexplained(path: list[Orbit], points: list[SpecialPoint], autonomous: bool = False) -> list[str]:
+    """Return a note for every change of the number of unstable multipliers that the located points do not explain.
+
+    Orbits whose number is undecided are passed over: nothing is concluded from them.
+    """
     notes = []
-    counts = [(i, c) for i, o in enumerate(path) if (c := _unstable(o)) is not None]
+    counts = [(i, c) for i, o in enumerate(path) if (c := _unstable(o, autonomous)) is not None]
     for (i, before), (j, after) in pairwise(counts):
         between = [_WEIGHT[q.kind] for q in points if i <= q.index < j]
         change, most = abs(after - before), sum(between)

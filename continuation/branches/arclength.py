@@ -12,6 +12,7 @@ import numpy as np
 from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
 from continuation.branches.newton import Metric, Node, correct, size_of
+from continuation.branches.sparse_bordered import null_direction
 from continuation.errors import NoConvergence
 from continuation.orbits.orbit import Orbit
 
@@ -94,7 +95,7 @@ def trace(
     u, p = problem.unknown(start), start.value
     metric = Metric(size_of(u), width)
     first = start_node(problem, u, p, metric)
-    nodes, stop = walk(problem, first, span, limits, metric, progress)
+    nodes, stop = walk(problem, first, span, limits, metric, progress, getattr(problem, "ended", None))
     return analyse(problem, nodes, metric, stop, began, progress)
 
 
@@ -152,7 +153,7 @@ def _corrected(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
         return correct(problem, (u, p), (np.zeros_like(u), 1.0), metric, iterations=30)
     except NoConvergence as failure:
         _, J, Fp = problem.linearise(u, p)
-        null = np.linalg.svd(np.column_stack([J * metric.size, Fp * metric.span]))[2][-1]
+        null = null_direction(J * metric.size, Fp * metric.span)
         node = correct(problem, (u, p), (null[:-1] * metric.size, null[-1] * metric.span), metric, iterations=30)
         if abs(node.p - p) > 1e-3 * metric.span:
             raise failure
@@ -190,7 +191,7 @@ def _walk(
             nodes.append(new)
             node = new
             if _closed(nodes, metric, problem):
-                return nodes, "closed curve: came back to its start"
+                return _meeting(nodes, metric, problem), "closed curve: came back to its start"
             if progress is not None:
                 done = abs(node.p - first.p) / max(abs(end - first.p), 1e-300)
                 progress(min(done, 1.0), f"{name} = {node.p:.4g}, {len(nodes)} orbits")
@@ -222,7 +223,7 @@ def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Me
         if angle > _TURN:
             reason, ds = "the branch turns too sharply", ds / 2
             continue
-        new = _resolve(problem, new, (node.tu, node.tp), metric)
+        new = resolve(problem, new, (node.tu, node.tp), metric)
         growth = min(2.0, max(0.5, 0.5 * _TURN / max(angle, 1e-6)), 2.0 ** (4 - new.iterations))
         return new, min(ds * growth, largest), ""
     return None, ds, reason
@@ -250,7 +251,7 @@ def _predict(problem: Any, nodes: list[Node], ds: float, metric: Metric) -> tupl
     )
 
 
-def _resolve(problem: Any, node: Node, direction: tuple[np.ndarray, float], metric: Metric) -> Node:
+def resolve(problem: Any, node: Node, direction: tuple[np.ndarray, float], metric: Metric) -> Node:
     """Change the resolution where the error asks for it; keep the node if that does not converge."""
     error = float("nan")
     raised = False
@@ -299,3 +300,11 @@ def _closed(nodes: list[Node], metric: Metric, problem: Any) -> bool:
     step = metric.length(problem.lengthen(before.u, last.u) - last.u, before.p - last.p)
     same = metric.dot((problem.lengthen(first.tu, last.u), first.tp), (last.tu, last.tp)) > 0.9
     return same and distance(last) < 0.75 * step and distance(before) < 1.5 * step
+
+
+def _meeting(nodes: list[Node], metric: Metric, problem: Any) -> list[Node]:
+    """Return the nodes of a closed curve with the first one once more at the end, so that no piece is left out."""
+    first, last = nodes[0], nodes[-1]
+    u = problem.lengthen(first.u, last.u)
+    ahead = metric.dot((u - last.u, first.p - last.p), (last.tu, last.tp)) > 0
+    return [*(nodes if ahead else nodes[:-1]), replace(first)]

@@ -39,6 +39,8 @@ class SpecialPoint:
         What a reader should know, empty mostly.
     problem : Problem or None
         What the branch was traced with; None when loaded from a file.
+    node : Node or None
+        The point as an unknown of that problem, with the tangent of the branch; None when loaded from a file.
     """
 
     kind: Kind
@@ -50,6 +52,7 @@ class SpecialPoint:
     status: Literal["located", "guessed"] = "located"
     note: str = ""
     problem: Any = field(default=None, repr=False)
+    node: Any = field(default=None, repr=False)
 
     @property
     def multipliers(self) -> np.ndarray:

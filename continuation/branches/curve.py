@@ -9,6 +9,8 @@ import numpy as np
 
 from continuation.branches.newton import Metric, Node, correct
 
+_VERTICAL = 1e-7  # parameter component of a tangent that counts as none
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segment:
@@ -18,6 +20,12 @@ class Segment:
     metric: Metric
     a: Node
     b: Node
+
+    @property
+    def vertical(self) -> bool:
+        """Whether its orbits are all of one parameter value, a neutral family; a model linear along them has such."""
+        a, b, level = self.a, self.b, max(abs(self.a.p), 1e-3)
+        return min(abs(a.tp), abs(b.tp)) < _VERTICAL * level and abs(a.p - b.p) < 1e-9 * level
 
     def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         like = self.a.u if len(self.a.u) >= len(self.b.u) else self.b.u

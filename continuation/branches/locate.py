@@ -93,7 +93,7 @@ def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: floa
     like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
     x, node, slope = _secant(segment, test, x, like, None, scale)
     found, changes = node, []
-    fixed = getattr(problem.method, "harmonics", None) is not None
+    fixed = any(getattr(problem.method, name, None) is not None for name in ("harmonics", "intervals"))
     error = np.inf
     while True:
         longer = problem.refined(node.u, node.p)

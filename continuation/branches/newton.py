@@ -7,11 +7,19 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy.linalg as sl
+import scipy.sparse as sp
 
-from continuation.errors import NoConvergence
+from continuation.branches.sparse_bordered import solve_bordered
+from continuation.errors import IntegrationFailed, NoConvergence, UnsupportedModel
 
 _STEP = 1e-8  # a step below this (relative) is the last: convergence is quadratic
 _HALVINGS = 6
+_LONGEST_CYCLE = 4  # iterates that are looked at for a return to an earlier one
+_ESCAPES = 3  # cycles that are left by their mean before Newton's method gives up
+_SINGULAR = (
+    "the bordered Jacobian is singular: the orbit is not determined (a body between open contacts, an undamped mode in "
+    "resonance); give it a load, a spring or damping"
+)
 
 
 class Problem(Protocol):
@@ -98,9 +106,14 @@ def correct(
         With the residual history, when damped Newton does not converge.
     """
     u, p = guess
+    anchor = getattr(problem, "anchor", None)
+    if anchor is not None:  # an autonomous System: of all its shifts in time the orbit nearest to the guess is taken
+        anchor(u, p)
     border = np.append(direction[0] / metric.size**2, direction[1] / metric.span**2)
     history: list[float] = []
     best = last = np.inf
+    before: list[tuple[np.ndarray, float]] = []
+    escapes = 0
     F, J, Fp = _linearise(problem, u, p, history)
     for count in range(1, iterations + 1):
         history.append(float(np.linalg.norm(F)))
@@ -116,7 +129,14 @@ def correct(
             tu, tp = tangent[:-1], float(tangent[-1])
             norm = metric.length(tu, tp)
             return Node(u + du, p + dp, tu / norm, tp / norm, sign, count)
+        before.append((u, p))
         u, p, F, J, Fp = _damped(problem, (u, p), (du, dp), history)
+        if cycle := _cycle(before, (u, p), metric, size):
+            escapes = _escape(escapes, cycle, history, p)
+            u = np.mean([v for v, _ in before[-cycle:]], axis=0)
+            p = float(np.mean([v for _, v in before[-cycle:]]))
+            F, J, Fp = _linearise(problem, u, p, history)
+            before.clear()
         best, last = min(best, size), size
         if count > 6 and size > 10 * best:
             break
@@ -126,7 +146,7 @@ def correct(
 def _linearise(problem: Problem, u: np.ndarray, p: float, history: list[float]) -> Any:
     try:
         return problem.linearise(u, p)
-    except (ValueError, np.linalg.LinAlgError) as reason:
+    except (ValueError, np.linalg.LinAlgError, UnsupportedModel, IntegrationFailed) as reason:  # a step too far, mostly
         raise NoConvergence(str(reason), history, p) from reason
 
 
@@ -144,19 +164,60 @@ def _damped(
     return u, p, F, J, Fp
 
 
+def _cycle(before: list[tuple[np.ndarray, float]], at: tuple[np.ndarray, float], metric: Metric, step: float) -> int:
+    """Return the number of steps, 2 or more, after which Newton's method came back to an earlier iterate, else 0.
+
+    The derivative of a contact force jumps, so that the method may go back and forth between contact patterns for ever.
+    """
+    for back in range(2, min(len(before), _LONGEST_CYCLE) + 1):
+        u, p = before[-back]
+        if metric.length(at[0] - u, at[1] - p) < 1e-3 * step:
+            return back
+    return 0
+
+
+def _escape(escapes: int, cycle: int, history: list[float], p: float) -> int:
+    """Count the cycles met; the mean of one is a new start, often with another contact pattern."""
+    if escapes >= _ESCAPES:
+        raise NoConvergence(
+            f"Newton's method goes round between {cycle} contact patterns without an orbit; take smaller steps, start "
+            "on system.smoothed(width), or look for the end of the branch",
+            history,
+            p,
+        )
+    return escapes + 1
+
+
 def _solve(
     J: np.ndarray, Fp: np.ndarray, F: np.ndarray, border: np.ndarray, history: list[float], p: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Newton step and tangent from one factorisation of the bordered matrix, and the sign of its determinant."""
     n = len(F)
+    if sp.issparse(J):
+        return _solve_sparse(J, Fp, F, border, history, p)
     matrix = np.empty((n + 1, n + 1), order="F")
     matrix[:n, :n], matrix[:n, n], matrix[n] = J, Fp, border
     right = np.zeros((n + 1, 2), order="F")
     right[:n, 0], right[n, 1] = -F, 1.0
     lu, pivots, info = sl.lapack.dgetrf(matrix, overwrite_a=True)
     if info != 0:
-        raise NoConvergence("the bordered Jacobian is singular", history, p)
+        raise NoConvergence(_SINGULAR, history, p)
     solution, _ = sl.lapack.dgetrs(lu, pivots, right, overwrite_b=True)
     swaps = int(np.count_nonzero(pivots != np.arange(n + 1)))
     sign = float(np.prod(np.sign(np.diag(lu)))) * (-1.0) ** swaps
     return solution[:, 0], solution[:, 1], sign
+
+
+def _solve_sparse(
+    J: Any, Fp: np.ndarray, F: np.ndarray, border: np.ndarray, history: list[float], p: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Do the same with a sparse Jacobian."""
+    if not (np.all(np.isfinite(F)) and np.all(np.isfinite(J.data)) and np.all(np.isfinite(Fp))):
+        raise NoConvergence(f"the right-hand side of the model is not finite near parameter value {p:.10g}", history, p)
+    right = np.zeros((len(F) + 1, 2))
+    right[:-1, 0], right[-1, 1] = -F, 1.0
+    found = solve_bordered(J, Fp, border, right)
+    if found is None:
+        raise NoConvergence(_SINGULAR, history, p)
+    (step, tangent), sign = found[0].T, found[1]
+    return step, tangent, sign

@@ -72,10 +72,15 @@ def screen(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Node],
     known = {id(n): v for n, v in zip(nodes, at_nodes, strict=True)}
     suspects: list[Suspect] = []
     final: list[Segment] = []
+    flat: set[int] = set()  # nodes of vertical pieces, all of one monodromy matrix with a multiplier 1
     for round_number in range(_ROUNDS):
+        vertical = [s for s in pending if s.vertical]
+        final += vertical
+        flat |= {id(n) for s in vertical for n in (s.a, s.b)}
+        pending = [s for s in pending if not s.vertical]
         if not pending:
             break
-        sampled = _sample(problem, pending, known, neutral)
+        sampled = _sample(problem, pending, known, neutral, flat)
         pending = []
         for s in sampled:
             cuts = _cuts(s)
@@ -95,7 +100,9 @@ def screen(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Node],
     return _chain(nodes, final), _ordered(suspects, final, nodes), notes
 
 
-def _sample(problem: Any, segments: list[Segment], known: dict[int, np.ndarray], neutral: bool) -> list[_Samples]:
+def _sample(
+    problem: Any, segments: list[Segment], known: dict[int, np.ndarray], neutral: bool, flat: set[int]
+) -> list[_Samples]:
     """Sample all segments on the interpolated branch, bisecting where a test function may reach zero."""
 
     def evaluate(points: list[tuple[np.ndarray, float]]) -> np.ndarray:
@@ -110,6 +117,7 @@ def _sample(problem: Any, segments: list[Segment], known: dict[int, np.ndarray],
     points = [pt for s in segments for pt in s.at(inner)]
     values = evaluate(points).reshape(len(segments), len(inner), 3)
     out = [_Samples(s, _FIRST, np.vstack([end(s.a), v, end(s.b)])) for s, v in zip(segments, values, strict=True)]
+    out = [_masked(s, flat) for s in out]
     active = list(range(len(out)))
     for _ in range(_LEVELS):
         wanted = [(i, x) for i in active for x in _doubtful(out[i])]
@@ -123,8 +131,19 @@ def _sample(problem: Any, segments: list[Segment], known: dict[int, np.ndarray],
             x = np.append(out[i].x, [a for a, _ in new])
             value = np.vstack([out[i].value, *[v for _, v in new]])
             order = np.argsort(x)
-            out[i] = _Samples(out[i].segment, x[order], value[order])
+            out[i] = _masked(_Samples(out[i].segment, x[order], value[order]), flat)
     return out
+
+
+def _masked(s: _Samples, flat: set[int]) -> _Samples:
+    """Take det(I - M) from the far end of a segment that leaves a vertical piece, where it is noise about 0.
+
+    The branch has a corner inside, which no interpolation shows; whether it turns back is told by its tangents.
+    """
+    ends = [id(n) in flat for n in (s.segment.a, s.segment.b)]
+    if any(ends):
+        s.value[:, 0] = s.value[-1 if ends[0] else 0, 0]
+    return s
 
 
 def _gap(s: _Samples) -> np.ndarray:

@@ -12,7 +12,7 @@ from continuation.branches.arclength import Limits, Progress, check_span, walk
 from continuation.branches.branch import Kind, SpecialPoint
 from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.errors import NoConvergence, UnsupportedModel
-from continuation.orbits.curvature import form_gradient
+from continuation.orbits.curvature import critical_form
 from continuation.orbits.orbit import Orbit
 
 
@@ -174,7 +174,7 @@ class ExtendedProblem:
         gp = (moved(hp, 0.0)[1] - moved(-hp, 0.0)[1]) / (2 * hp)
         (Fa, ga), (Fb, gb) = moved(0.0, hq), moved(0.0, -hq)
         inner = self.at(q)
-        gu = form_gradient(inner, u, p, v, w, half=self.kind == "period-doubling")
+        gu = -critical_form(inner, u, p, 0.5 * (self.kind == "period-doubling"), v, w).state
         n = len(u)
         jacobian = np.empty((n + 1, n + 1))
         jacobian[:n, :n], jacobian[:n, n], jacobian[n, :n], jacobian[n, n] = J, Fp, gu, gp

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-import atexit
-import os
-import shutil
-import subprocess
-import tempfile
-from functools import cache, lru_cache
-from pathlib import Path
-
 import casadi as ca
 import numpy as np
 
+from continuation.model.machine_code import NoMachineCode, compiled_function, find_compiler, library
 from continuation.model.system import System
 
+__all__ = ["compiled_function", "compiled_march", "find_compiler"]
+
 _SLOWEST = 4096  # steps per period above which a model is too stiff for an explicit method
-_TIMEOUT = 120.0
-
-
-def find_compiler() -> str | None:
-    """Return the path of a C compiler (``CC`` of the environment, cc, gcc or clang), or None."""
-    names = (os.environ.get("CC", ""), "cc", "gcc", "clang")
-    return next((path for name in names if name and (path := shutil.which(name))), None)
 
 
 def compiled_march(system: System, slowest: float) -> tuple[str, str]:
@@ -37,22 +25,19 @@ def compiled_march(system: System, slowest: float) -> tuple[str, str]:
     -------
     path : str
         Shared library with the function ``march(x, p) -> x`` for ``casadi.external``; empty where there is none. It
-        lives as long as this process.
+        lives as long as this process, or longer (:func:`~continuation.model.machine_code.library`).
     note : str
         A sentence on what was compiled, or why nothing was. Cost about 0.3 s, once per model.
     """
-    compiler = find_compiler()
-    if compiler is None:
+    if find_compiler() is None:
         return "", "no C compiler was found"
     steps = _steps(system, slowest)
     if steps > _SLOWEST:
         return "", f"the model needs {steps} explicit steps per period, too many to gain from compiling"
     try:
-        path = _build(compiler, _source(system, steps))
-    except (OSError, subprocess.SubprocessError) as reason:
-        detail = getattr(reason, "stderr", None) or str(reason)
-        return "", f"the C compiler {compiler} failed: {detail.strip().splitlines()[-1] if detail.strip() else reason}"
-    return path, f"compiled with {compiler}, {steps} Runge-Kutta steps per period"
+        return library(_source(system, steps)), f"compiled with {find_compiler()}, {steps} Runge-Kutta steps per period"
+    except NoMachineCode as reason:
+        return "", str(reason)
 
 
 def _steps(system: System, slowest: float) -> int:
@@ -90,20 +75,3 @@ def _source(system: System, steps: int) -> str:
     generator = ca.CodeGenerator("march")
     generator.add(ca.Function("march", [x, q], [end[:n]], ["x", "p"], ["end"]))
     return str(generator.dump())
-
-
-@cache
-def _folder() -> str:
-    folder = tempfile.mkdtemp(prefix="continuation-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return folder
-
-
-@lru_cache(maxsize=32)
-def _build(compiler: str, source: str) -> str:
-    place = Path(tempfile.mkdtemp(dir=_folder()))
-    (place / "march.c").write_text(source, encoding="utf-8")
-    library = place / "march.so"
-    command = [compiler, "-O3", "-fPIC", "-shared", str(place / "march.c"), "-o", str(library), "-lm"]
-    subprocess.run(command, check=True, capture_output=True, text=True, timeout=_TIMEOUT)
-    return str(library)

@@ -4,61 +4,59 @@ Any System is written exactly as
 
     dx/dt = A(p) x + u(theta, p) + B(p) w(theta, p; y),      y = C(p) x,
 
-with the port force ``w = r(y, theta, p) + sum_c gain_c(theta, p) * force_c(d_c . y + offset_c(theta, p))``: a smooth
-part and the contact laws. B has as many columns as the forces have independent directions, C as many rows as they
-have independent arguments; a gear pair of any number of coordinates has one of each. Where no structure is found, B
-and C become square and the same formulas solve the model in full.
+with the port force ``w = r(y, theta, p) + sum_c gain_c(theta, p) * force_c(d_c . y + offset_c(theta, p))``: the
+contacts that enter linearly, and a rest r that is smooth but for the contacts that do not (a gain that depends on
+states, a force that is squared, an argument that is not linear). B has as many columns as the forces have independent
+directions, C as many rows as they have independent arguments; a gear pair of any number of coordinates has one of
+each. Where no structure is found, B and C become square and the same formulas solve the model in full.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.linalg as sl
 
 from continuation.errors import UnsupportedModel
+from continuation.model.forcing import PROBES, Excitation, Forcing, dependence
+from continuation.model.linear_part import (
+    LinearPart,
+    Matrix,
+    add_ports,
+    as_matrix,
+    conditioning,
+    interpolate,
+    large,
+    largest,
+    pivots,
+)
+from continuation.model.port_law import PortLaw
 from continuation.model.system import System
 
-_RANK = 1e-10  # relative singular value below which a direction does not count
 _SAMPLES = 12
-_PROBES = np.mod(np.arange(1, 9) * 2.3999632297286533, 2 * np.pi)  # phases that no regular grid meets
-
-
-@dataclass(frozen=True, slots=True)
-class LinearPart:
-    """Numbers of the linear part at one parameter vector: A (n, n), B (n, m), C (k, n), d (contacts, k), S (m, k).
-
-    S is a reference stiffness of the ports (contacts closed): ``A - B S C`` is what receptances are taken of, so
-    that an open gap or a rigid body does not make them singular; the ports carry ``w + S y``, which changes nothing.
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    d: np.ndarray
-    S: np.ndarray
-
-
-@dataclass(frozen=True, slots=True)
-class Forcing:
-    """Fourier coefficients over one excitation period, index 0..J: u (J+1, n), gain (contacts, m, J+1), offset."""
-
-    u: np.ndarray
-    gain: np.ndarray
-    offset: np.ndarray
 
 
 class Ports:
     """The port structure of a System; evaluates its parts at a parameter vector and caches the last ones.
 
+    Attributes
+    ----------
+    law : PortLaw
+        The rest r of the port force.
+    closed, general : tuple of int
+        Contacts that enter linearly (with a gain of phase and parameters only, and an argument linear in the states
+        with constant coefficients), and those that are part of ``law``.
+    smooth : bool
+        Whether there is a rest at all.
+    rest : array (n,)
+        A state at which the model is finite: 0 if it is finite there.
+
     Raises
     ------
     UnsupportedModel
-        If a contact force enters with a gain that depends on states, or its argument is not linear in the states.
+        If the right-hand side jumps, or the ports change their number with the parameters.
 
     Examples
     --------
@@ -74,35 +72,49 @@ class Ports:
 
     def __init__(self, system: System) -> None:
         self.system = system
-        self._maps: dict[tuple[int, bool], Any] = {}
+        self._derivatives: dict[int, Any] = {}
         x, phi, theta, p = system.x, system.phi, system.theta, system.p
         f, arguments = system.derivative, system.arguments
         self._jacobian = ca.jacobian(f, x)
         self._gains, self._slopes = ca.jacobian(f, phi), ca.jacobian(arguments, x)
-        self._check_contacts()
+        self._sort_contacts()
         self._constant, self._varying = self._split()
-        zero = [ca.SX.zeros(x.shape), ca.SX.zeros(phi.shape)]
-        u, offset = ca.substitute([f, arguments], [x, phi], zero)
-        self._u, self._offset = ca.densify(u), ca.densify(offset)
+        self._active_rows, self._active_cols = self._support()
         self._find_pivots()
+        u, offset = self._at_rest()
+        self._u, self._offset = ca.sparsify(u), ca.densify(_kept_rows(offset, self._straight))
+        self._forced = np.array(self._u.sparsity().row(), dtype=int)  # the states that are forced
         self._build_functions(theta, p)
         self._check_structure()
         self._slope: np.ndarray | None = None
         self._cache: dict[str, tuple[np.ndarray, bytes, Any]] = {}
 
-    def _check_contacts(self) -> None:
+    def _sort_contacts(self) -> None:
+        s, count = self.system, range(len(self.system.contacts))
+        self._straight = [not ca.depends_on(self._slopes[i, :], ca.vertcat(s.x, s.theta)) for i in count]
+        closed = [self._straight[i] and not ca.depends_on(self._gains[:, i], ca.vertcat(s.x, s.phi)) for i in count]
+        self.closed = tuple(i for i in count if closed[i])
+        self.general = tuple(i for i in count if not closed[i])
+
+    def straight(self, i: int) -> bool:
+        """Whether the argument of contact i is linear in the states, with constant coefficients."""
+        return self._straight[i]
+
+    def _at_rest(self) -> tuple[ca.SX, ca.SX]:
+        """Return what drives the states, and the contact arguments, at a state where the law carries no force.
+
+        That state is 0, or another one where the model is singular at 0, as a direction ``x / sqrt(x^2 + y^2)`` is.
+        """
         s = self.system
-        for i, contact in enumerate(s.contacts):
-            if ca.depends_on(self._gains[:, i], ca.vertcat(s.x, s.phi)):
-                raise UnsupportedModel(
-                    f"contact {contact.name!r} of system {s.name!r}: its force must enter linearly, with a gain of "
-                    "phase and parameters only; use system.smoothed(width) or Shooting instead"
-                )
-            if ca.depends_on(self._slopes[i, :], ca.vertcat(s.x, s.theta)):
-                raise UnsupportedModel(
-                    f"contact {contact.name!r} of system {s.name!r}: its argument must be linear in the states with "
-                    "constant coefficients; use system.smoothed(width) or Shooting instead"
-                )
+        zero = [ca.SX.zeros(s.x.shape), ca.SX.zeros(s.phi.shape)]
+        u, arguments = ca.substitute([s.derivative, s.arguments], [s.x, s.phi], zero)
+        values = ca.Function("rest", [s.theta, s.p], [ca.sparsify(u)])(PROBES.reshape(1, -1), s.parameter_vector())
+        self.rest = np.zeros(len(s.state_names))
+        if np.all(np.isfinite(np.array(values.nonzeros()))):
+            return u, arguments
+        self.rest = self._points[0][:, 0]
+        x = ca.SX(ca.DM(self.rest))
+        return ca.substitute([s.derivative], [s.x, s.phi], [x, zero[1]])[0] - self._constant @ x, arguments
 
     def _split(self) -> tuple[ca.SX, ca.SX]:
         """Split df/dx into entries that depend on parameters only and entries that vary along an orbit."""
@@ -111,37 +123,92 @@ class Ports:
             return jacobian, jacobian
         nonzeros: list[Any] = jacobian.nonzeros()
         entries = ca.vertcat(*nonzeros)
-        varies = ca.which_depends(entries, ca.vertcat(self.system.x, self.system.theta), 1, True)
+        varies = ca.which_depends(entries, ca.vertcat(self.system.x, self.system.phi, self.system.theta), 1, True)
         parts = [ca.vertcat(*(e if v == keep else ca.SX(0) for e, v in zip(nonzeros, varies, strict=True)))
                  for keep in (False, True)]  # fmt: skip
-        constant, varying = (ca.SX(jacobian.sparsity(), part) for part in parts)
+        constant, varying = (ca.sparsify(ca.SX(jacobian.sparsity(), part)) for part in parts)
         return constant, varying
+
+    def _support(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states whose rates the ports act on, and the states that their arguments depend on."""
+        places = [np.array(e.sparsity().get_triplet(), dtype=int) for e in (self._varying, self._gains, self._slopes)]
+        rows, cols = (np.unique(np.concatenate(found)) for found in ([places[0][0], places[1][0]],
+                                                                     [places[0][1], places[2][1]]))  # fmt: skip
+        return (rows, cols) if rows.size and cols.size else (np.array([0]), np.array([0]))
 
     def _sample_function(self) -> ca.Function:
         s = self.system
-        outputs = [ca.densify(e) for e in (self._varying, self._gains, self._slopes)]
-        return ca.Function("samples", [s.x, s.theta, s.p], outputs)
+        return ca.Function("samples", [s.x, s.phi, s.theta, s.p], [ca.densify(e) for e in self.sampled_parts()])
 
-    def _stacks(self, p: np.ndarray, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:
-        """Sample the varying Jacobian: columns that span the port directions (n, .), rows that span the arguments."""
-        rng = np.random.default_rng(0)
-        n = len(self.system.state_names)
-        x, theta = rng.standard_normal((n, samples)), rng.uniform(0, 2 * np.pi, (1, samples))
-        varying, gains, slopes = (np.array(v).reshape(v.shape) for v in self._sampler(x, theta, p))
-        blocks = [m.reshape(len(m), samples, n).transpose(1, 0, 2) for m in (varying, slopes)]
-        return np.hstack([varying, gains]), np.concatenate([b.reshape(-1, n) for b in blocks])
+    def sampled_parts(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return what B and C are made of: varying Jacobian, contact gains, argument slopes, each where not zero."""
+        rows, cols = self._active_rows.tolist(), self._active_cols.tolist()
+        return self._varying[rows, cols], self._gains[rows, :], self._slopes[:, cols]
+
+    @property
+    def constant(self) -> ca.SX:
+        """The part of df/dx that depends on parameters only."""
+        return self._constant
+
+    def stacks(
+        self, p: np.ndarray, samples: int = _SAMPLES, sampler: ca.Function | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Sample the varying Jacobian (or a derivative of it).
+
+        Returns columns that span the port directions and rows that span the port arguments, without the states that
+        no port acts on or depends on; :meth:`port_matrices` puts those back.
+        """
+        width, points = len(self._active_cols), [a[:, :samples] for a in self._points]
+        samples = points[0].shape[1]
+        varying, gains, slopes = (np.array(v).reshape(v.shape) for v in (sampler or self._sampler)(*points, p))
+        blocks = [m.reshape(len(m), samples, width).transpose(1, 0, 2) for m in (varying, slopes)]
+        return np.hstack([varying, gains]), np.concatenate([b.reshape(-1, width) for b in blocks])
 
     def _find_pivots(self) -> None:
         """Choose the states that carry the ports, at parameters a little off the defaults so that no zero hides one."""
         self._sampler = self._sample_function()
         p = self.system.parameter_vector()
+        self._points = self._sample_points(p)
         off = p * (1 + 0.01 * np.cos(np.arange(p.size))) + 1e-3 * np.sin(1.0 + np.arange(p.size))
-        columns, rows = self._stacks(off)
+        columns, rows = self.stacks(off)
         if not (np.all(np.isfinite(columns)) and np.all(np.isfinite(rows))):
-            columns, rows = self._stacks(p)
-        self.rows, self.cols = _pivots(columns), _pivots(rows.T)
-        if not (self.rows.size and self.cols.size):  # a linear model: one port that carries no force
-            self.rows, self.cols = np.array([0]), np.array([0])
+            columns, rows = self.stacks(p)
+        chosen = pivots(columns), pivots(rows.T)
+        if not (chosen[0].size and chosen[1].size):  # a linear model: one port that carries no force
+            chosen = np.array([0]), np.array([0])
+        self.pivots = chosen
+        self.rows, self.cols = self._active_rows[chosen[0]], self._active_cols[chosen[1]]
+
+    def _sample_points(self, p: np.ndarray) -> list[np.ndarray]:
+        """Return random states (n, .), contact forces and phases where the model is finite (phi**1.5 needs phi > 0)."""
+        rng = np.random.default_rng(0)
+        n, c, count = len(self.system.state_names), len(self.system.contacts), _SAMPLES * (8 if self.general else 1)
+        points = [
+            rng.standard_normal((n, count)),
+            rng.standard_normal((c, count)),
+            rng.uniform(0, 2 * np.pi, (1, count)),
+        ]
+        if not self.general:
+            return points
+        good = np.ones(count, dtype=bool)
+        for part, found in zip(self.sampled_parts(), self._sampler(*points, p), strict=True):
+            if found.numel():
+                values = np.array(found).reshape(part.shape[0], count, part.shape[1])
+                good &= np.isfinite(values).all(axis=(0, 2))
+        chosen = np.flatnonzero(good)[:_SAMPLES] if good.any() else np.arange(_SAMPLES)
+        return [a[:, chosen] for a in points]
+
+    def port_matrices(self, columns: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return B (n, m) and C (k, n) of what they are on the states that the ports act on and depend on."""
+        n = len(self.system.state_names)
+        B, C = np.zeros((n, columns.shape[1])), np.zeros((len(rows), n))
+        B[self._active_rows], C[:, self._active_cols] = columns, rows
+        return B, C
+
+    def _directions(self, p: np.ndarray, samples: int = _SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+        """Return B (n, m) and C (k, n) at p."""
+        columns, rows = self.stacks(p, samples)
+        return self.port_matrices(interpolate(columns, self.pivots[0]), interpolate(rows.T, self.pivots[1]).T)
 
     def _build_functions(self, theta: ca.SX, p: ca.SX) -> None:
         s = self.system
@@ -149,40 +216,42 @@ class Ports:
         x = ca.SX.zeros(len(s.state_names), 1)
         for i, col in enumerate(self.cols):
             x[col] = y[i]
-        rows = [int(r) for r in self.rows]
-        f0 = ca.substitute(s.derivative, s.phi, ca.SX.zeros(s.phi.shape))
+        rows, cols = [int(r) for r in self.rows], [int(c) for c in self.cols]
+        closed, general = list(self.closed), list(self.general)
+        f0 = ca.substitute(s.derivative, s.phi[closed], ca.SX.zeros(len(closed), 1)) if closed else s.derivative
         force = ca.substitute(f0, s.x, x) - self._u - ca.substitute(self._constant, s.x, x) @ x
-        slope = ca.substitute(self._varying, s.x, x)
-        self.smooth = bool(self._varying.nnz()) and not self._varying.is_zero()
-        self._law = ca.Function(
-            "law", [y, theta, p], [ca.densify(force[rows]), ca.densify(slope[rows, [int(c) for c in self.cols]])]
+        slope = ca.substitute(self._varying, s.x, x)[rows, cols]
+        arguments = ca.substitute(s.arguments, s.x, x)[general]
+        self.smooth = bool(general) or bool(self._varying.nnz() and not self._varying.is_zero())
+        self.law = PortLaw(
+            [y, s.phi[general], theta, p], force[rows], slope, arguments, [s.contacts[i] for i in general]
         )
-        gains = ca.densify(self._gains[rows, :]) if rows else ca.SX(0, 1)
-        self._periodic = ca.Function("periodic", [theta, p], [self._u, ca.vec(gains), self._offset])
-        self._constant_at = ca.Function("constant", [p], [ca.densify(self._constant)])
+        gains = ca.densify(_kept_rows(self._gains[rows, :].T, [i in closed for i in range(len(s.contacts))]).T)
+        forced = _entries(self._u)
+        self.excitation = Excitation(s.name, theta, p, forced, self._forced, len(s.state_names), gains, self._offset)
+        slopes = ca.densify(_kept_rows(self._slopes[:, cols], self._straight))
+        self.argument_slope = ca.Function("argument_slope", [p], [slopes])
+        self._constant_at = ca.Function("constant", [p], [self._constant])
         parts = (self._constant, self._varying, self._gains, self._slopes)
-        linear = ca.vertcat(*(ca.vec(part) for part in parts))
-        forcing = ca.vertcat(self._u, ca.vec(gains), self._offset)
-        self._linear_depends = _dependence(linear, p)
-        self._forcing_depends = _dependence(forcing, p)
+        linear = ca.vertcat(*(_entries(part) for part in parts))
+        self._linear_depends = dependence(linear, p)
 
     def _check_structure(self) -> None:
         """Put linear part and ports together again and compare with the model: a hidden jump has no derivative."""
         s = self.system
-        rng = np.random.default_rng(2)
-        whole = ca.Function("whole", [s.x, s.phi, s.theta, s.p], [s.derivative])
-        p = s.parameter_vector()
-        A = np.array(self._constant_at(p)).reshape(len(s.state_names), -1)
-        columns, rows = self._stacks(p)
-        B, C = _interpolate(columns, self.rows), _interpolate(rows.T, self.cols).T
-        for _ in range(4):
-            x, phi = rng.standard_normal(len(A)), rng.standard_normal(len(s.contacts))
-            theta = rng.uniform(0, 2 * np.pi)
-            f = np.array(whole(x, phi, theta, p)).ravel()
-            u, gain, _ = (np.array(v).ravel() for v in self._periodic(theta, p))
-            force = np.array(self._law(C @ x, theta, p)[0]).ravel()
-            force = force + gain.reshape(len(s.contacts), -1).T @ phi if len(phi) else force
-            rebuilt = A @ x + u + B @ force
+        whole = ca.Function("whole", [s.x, s.phi, s.theta, s.p], [s.derivative, s.arguments])
+        p, general = s.parameter_vector(), list(self.general)
+        A = as_matrix(self._constant_at(p))
+        B, C = self._directions(p)
+        for x, phi, theta in zip(*(a.T[-4:] for a in self._points), strict=True):
+            f, arguments = (np.array(v).ravel() for v in whole(x, phi, theta, p))
+            u, gain, offset = self.excitation.at(float(theta[0]), p)
+            force, met = (np.array(v).ravel() for v in self.law.free(C @ x, phi[general], theta, p))
+            force = force + gain.T @ phi
+            straight = np.array(self._straight, dtype=bool)
+            found = np.array(self.argument_slope(p)) @ (C @ x) + offset if straight.any() else offset
+            f = np.concatenate([f, arguments[general], arguments[straight]])
+            rebuilt = np.concatenate([A @ x + u + B @ force, met, found[straight]])
             if not np.allclose(rebuilt, f, rtol=1e-8, atol=1e-8 * max(np.abs(f).max(), 1e-300)):
                 raise UnsupportedModel(
                     f"system {s.name!r}: the right-hand side jumps (sign, floor, if_else) where its derivative does "
@@ -205,48 +274,32 @@ class Ports:
         s = self.system
         if s.frequency is None:
             return False
-        return bool(ca.depends_on(s.derivative, s.p[s.parameter_names.index(s.frequency)]))
+        model = ca.vertcat(s.derivative, s.arguments)
+        return bool(ca.depends_on(model, s.p[s.parameter_names.index(s.frequency)]))
 
-    def law(self, y: np.ndarray, theta: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the smooth port force (m, N) and its slope (m, k, N) at y (k, N), theta (N,), p (q,) or (q, N)."""
-        count, m, k = theta.size, self.inputs, self.outputs
-        arguments, results, run = self._mapped(count, p.ndim == 1)
-        for held, given in zip(arguments, (y.T, theta, p.T), strict=True):
-            held[...] = given
-        run()
-        force, slope = results
-        return force.T.copy(), slope.reshape(count, k, m).transpose(2, 1, 0).copy()
+    @property
+    def large(self) -> bool:
+        """Whether the linear part is sparse: many states, few of them coupled."""
+        return large(self._constant.shape[0], self._constant.nnz())
 
-    def _mapped(self, count: int, common: bool) -> tuple[list[np.ndarray], list[np.ndarray], Any]:
-        """Return argument and result arrays, one sample per row, and the call that fills the results (a few kept)."""
-        key = (count, common)
-        if key not in self._maps:
-            if len(self._maps) >= 8:
-                self._maps.pop(next(iter(self._maps)))
-            f = self._law.map("laws", "serial", count, [2], []) if common else self._law.map(count)
-            m, k, q = self.inputs, self.outputs, len(self.system.parameter_names)
-            arguments = [np.zeros((count, k)), np.zeros(count), np.zeros(q if common else (count, q))]
-            results = [np.zeros((count, m)), np.zeros((count, k * m))]
-            made: Any = f.buffer()
-            buffer, run = made
-            for i, array in enumerate(arguments):
-                buffer.set_arg(i, memoryview(array.reshape(-1).data))
-            for i, array in enumerate(results):
-                buffer.set_res(i, memoryview(array.reshape(-1).data))
-            self._maps[key] = (arguments, results, run, (f, buffer))  # CasADi does not keep the last two alive
-        return self._maps[key][:3]
+    def hold(self, S: np.ndarray) -> None:
+        """Use a reference slope S (m, k) as long as it serves."""
+        if S.shape == (self.inputs, self.outputs):
+            self._slope = S
 
-    def second(self, y: np.ndarray, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Evaluate the second derivative (m, k, k, N) of the smooth port force at y (k, N), theta (N,)."""
-        m, k = self.inputs, self.outputs
-        bend = np.array(self._second(y, theta.reshape(1, -1), p)).reshape(k, k, m, theta.size)
-        return bend.transpose(2, 1, 0, 3)  # CasADi's vec runs down columns: (m, k) fastest, then the second y
+    def linear_moves(self, index: int) -> bool:
+        """Whether the linear part (A, B, C) depends on a parameter."""
+        return bool(self._linear_depends[index])
 
-    @cached_property
-    def _second(self) -> ca.Function:
-        y, theta, p = self._law.sx_in()
-        slope = self._law(y, theta, p)[1]
-        return ca.Function("second", [y, theta, p], [ca.densify(ca.vec(ca.jacobian(ca.vec(slope), y)))])
+    def linear_derivative(self, p: np.ndarray, index: int) -> tuple[Any, np.ndarray, np.ndarray] | None:
+        """Return the derivatives of A (sparse), B and C in one parameter, None where it does not act on them."""
+        from continuation.model.linear_derivative import LinearDerivative
+
+        if not self._linear_depends[index]:
+            return None
+        if index not in self._derivatives:
+            self._derivatives[index] = LinearDerivative(self, index)
+        return self._derivatives[index](p)
 
     def linear(self, p: np.ndarray) -> LinearPart:
         """Return the linear part at p (kept while only parameters change that it does not depend on)."""
@@ -254,7 +307,7 @@ class Ports:
 
     def forcing(self, p: np.ndarray) -> Forcing:
         """Return the Fourier coefficients of forcing, contact gains and contact offsets at p (kept likewise)."""
-        return self._cached("forcing", p, self._forcing_depends, self._make_forcing)
+        return self.excitation(p)
 
     def _cached(self, name, p, depends, make):  # type: ignore[no-untyped-def]
         found = self._cache.get(name)
@@ -266,55 +319,49 @@ class Ports:
         return value
 
     def _make_linear(self, p: np.ndarray) -> LinearPart:
-        columns, rows = self._stacks(p, samples=4)  # the pivots are known, a few samples give the rest
-        A = np.array(self._constant_at(p)).reshape(len(columns), -1)
-        B = _interpolate(columns, self.rows)
-        C = _interpolate(rows.T, self.cols).T
-        slopes = np.array(self._sampler(np.zeros(len(A)), 0.0, p)[2]).reshape(len(self.system.contacts), len(A))
-        d = slopes[:, self.cols]
+        A = as_matrix(self._constant_at(p))
+        B, C = self._directions(p, samples=4)  # the pivots are known, a few samples give the rest
+        d = np.array(self.argument_slope(p)).reshape(len(self.system.contacts), len(C))
         # S is kept while it serves, so that the equations change smoothly with every parameter
-        if self._slope is None or _conditioning(A - B @ self._slope @ C) < 1e-9:
+        if self._slope is None or conditioning(add_ports(A, B, -self._slope, C)) < 1e-9:
             self._slope = self._reference_slope(p, A, B, C, d)
         new = LinearPart(A, B, C, d, self._slope)
         old = self._cache["linear"][2] if "linear" in self._cache else None
-        if old is not None and all(np.array_equal(getattr(old, k), getattr(new, k)) for k in ("A", "B", "C", "d", "S")):
+        if old is not None and old.same(new):
             return old  # the same object, so that what was made of it is kept
         return new
 
-    def _reference_slope(self, p: np.ndarray, A: np.ndarray, B: np.ndarray, C: np.ndarray, d: np.ndarray) -> np.ndarray:
+    def _reference_slope(self, p: np.ndarray, A: Matrix, B: np.ndarray, C: np.ndarray, d: np.ndarray) -> np.ndarray:
         """Return S: minus the mean port slope with contacts closed, at the spread of y that conditions A best."""
         theta = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         contact = np.zeros((self.inputs, self.outputs))
         gain = self.forcing(p).gain
-        for c, law in enumerate(self.system.contacts):
-            contact += max(law.slopes, key=abs) * np.outer(gain[c, :, 0].real, d[c])
+        for c in self.closed:
+            contact += max(self.system.contacts[c].slopes, key=abs) * np.outer(gain[c, :, 0].real, d[c])
         if not self.smooth:
             return -contact
         rng = np.random.default_rng(1)
         candidates = []
-        for spread in (0.0, 1.0, 3.0):
+        unit = self._unit()
+        for spread in (0.0, unit, 3.0 * unit):
             y = spread * rng.standard_normal((self.outputs, theta.size))
             slope = self.law(y, theta, p)[1]
             candidates += [-contact - slope.mean(axis=2), np.sqrt((slope**2).mean(axis=2)) - contact]
         # The slope at rest is the natural one; one of zero mean would leave undamped modes without their hysteretic
         # shift, and one that leaves A singular is no help, hence the others.
         for S in candidates:
-            if np.abs(B @ S @ C).max() > 1e-6 * np.abs(A).max(initial=0.0) and _conditioning(A - B @ S @ C) > 1e-7:
+            reach = np.abs(B[self._active_rows] @ S @ C[:, self._active_cols])
+            if reach.max() > 1e-6 * largest(A) and conditioning(add_ports(A, B, -S, C)) > 1e-7:
                 return S
-        return max(candidates, key=lambda S: _conditioning(A - B @ S @ C))
+        return max(candidates, key=lambda S: conditioning(add_ports(A, B, -S, C)))
 
-    def _periodic_rows(self, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Evaluate u, gains and offsets, one row each, at phases (N,)."""
-        parts = self._periodic(theta.reshape(1, -1), p)
-        return np.vstack([np.array(v).reshape(-1, theta.size) for v in parts])
+    def _unit(self) -> float:
+        """Return the size of port arguments to sample the law at: twice its farthest breakpoint, 1 without any."""
+        return 2 * max((abs(b) for c in self.law.contacts for b in c.breakpoints), default=0.5) or 1.0
 
     def forced_order(self, p: np.ndarray) -> int:
         """Return the highest harmonic of forcing, gains and offsets that carries more than 1e-8 of its largest."""
-        f = self.forcing(p)
-        rows = np.vstack([f.u.T, f.gain.reshape(-1, f.gain.shape[-1]), f.offset])
-        size = np.abs(rows)
-        used = np.flatnonzero((size > 1e-8 * size.max(axis=1, initial=0.0, keepdims=True)).any(axis=0))
-        return int(used[-1]) if used.size else 0
+        return self.forcing(p).order()
 
     @cached_property
     def law_order(self) -> int:
@@ -324,81 +371,26 @@ class Ports:
         count = 2048
         theta = 2 * np.pi * np.arange(count) / count
         y = np.repeat(np.random.default_rng(3).standard_normal((self.outputs, 1)), count, axis=1)
-        force, slope = self.law(y, theta, self.system.parameter_vector())
-        rows = np.vstack([force, slope.reshape(-1, count)])
+        p = self.system.parameter_vector()
+        if self.general:  # the contact forces held, so that no corner is met
+            phi = np.repeat(self._points[1][list(self.general), :1], count, axis=1)
+            rows = np.vstack([np.array(v) for v in self.law.free(y, phi, theta.reshape(1, -1), p)])
+        else:
+            force, slope = self.law(y, theta, p)
+            rows = np.vstack([force, slope.reshape(-1, count)])
         size = np.abs(np.fft.rfft(rows, axis=1))
         used = np.flatnonzero((size > 1e-10 * size.max(axis=1, initial=0.0, keepdims=True)).any(axis=0))
         return int(used[-1]) if used.size else 0
 
-    def _make_forcing(self, p: np.ndarray) -> Forcing:
-        count = 64
-        while True:
-            theta = 2 * np.pi * np.arange(count) / count
-            values = self._periodic_rows(theta, p)
-            spectrum = np.fft.rfft(values, axis=1) / count
-            size = np.abs(values).max(axis=1, initial=0.0, keepdims=True)
-            spectrum[np.abs(spectrum) < 1e-15 * size] = 0.0
-            miss = np.abs(_series(spectrum[:, : count // 2], _PROBES) - self._periodic_rows(_PROBES, p))
-            worst = float(np.max(miss / np.where(size > 0, size, 1.0), initial=0.0))  # each row against its own size
-            if worst <= 1e-12 or count >= 8192:
-                break
-            count *= 2
-        if worst > 1e-9:
-            raise UnsupportedModel(
-                f"system {self.system.name!r}: forcing or contact gain is not a smooth function of the phase "
-                f"({count // 2} harmonics still miss it by {worst:.1e}); write it as a Fourier series"
-            )
-        used = np.flatnonzero(np.abs(spectrum).max(axis=0, initial=0.0))
-        last = int(used[-1]) if used.size else 0
-        spectrum = spectrum[:, : last + 1]
-        n, c, m = len(self.system.state_names), len(self.system.contacts), self.inputs
-        return Forcing(
-            u=spectrum[:n].T,
-            gain=spectrum[n : n + c * m].reshape(c, m, last + 1),
-            offset=spectrum[n + c * m :],
-        )
+
+def _kept_rows(matrix: ca.SX, keep: list[bool]) -> ca.SX:
+    """Return a matrix with the rows that are not kept set to zero."""
+    return (
+        ca.vertcat(*(matrix[i, :] if k else ca.SX(1, matrix.shape[1]) for i, k in enumerate(keep))) if keep else matrix
+    )
 
 
-def _series(spectrum: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Evaluate half spectra (rows, J+1) at phases (N,); returns (rows, N)."""
-    k = np.arange(spectrum.shape[1])
-    waves = np.where(k == 0, 1.0, 2.0)[:, None] * np.exp(1j * np.multiply.outer(k, phases))
-    return (spectrum @ waves).real
-
-
-def _pivots(stack: np.ndarray) -> np.ndarray:
-    """Return indices of rows of the stack that span its row space, the best conditioned first."""
-    norms = np.linalg.norm(stack, axis=1, keepdims=True)
-    scaled = stack / np.where(norms > 0, norms, 1.0)
-    if not scaled.any():
-        return np.zeros(0, dtype=int)
-    _, r, order = sl.qr(scaled.T, mode="economic", pivoting=True)
-    size = np.abs(np.diag(r))
-    return np.sort(order[: int(np.sum(size > _RANK * size[0]))])
-
-
-def _interpolate(stack: np.ndarray, pivots: np.ndarray) -> np.ndarray:
-    """Return X with ``stack = X stack[pivots]``, X[pivots] the identity."""
-    result = stack @ np.linalg.pinv(stack[pivots], rcond=_RANK) if len(pivots) else np.zeros((len(stack), 0))
-    defect = np.abs(result @ stack[pivots] - stack).max(initial=0.0)
-    if defect > 1e-8 * max(np.abs(stack).max(initial=0.0), 1e-300):
-        raise UnsupportedModel(
-            "the ports of the System change their number with the parameters; build it with default parameter values "
-            "at which every nonlinear term is present"
-        )
-    result[np.abs(result) < 1e-14] = 0.0
-    result[pivots] = np.eye(len(pivots))
-    return result
-
-
-def _dependence(expression: ca.SX, p: ca.SX) -> np.ndarray:
-    """Return which elements of p an expression depends on, boolean (q,)."""
-    return np.array([bool(ca.depends_on(expression, p[i])) for i in range(p.numel())], dtype=bool)
-
-
-def _conditioning(matrix: np.ndarray) -> float:
-    """Return the smallest over the largest singular value after balancing, so that units do not count."""
-    if not np.all(np.isfinite(matrix)):
-        return -1.0
-    values = np.linalg.svd(sl.matrix_balance(matrix, permute=False)[0], compute_uv=False)
-    return float(values[-1] / max(values[0], 1e-300))
+def _entries(matrix: ca.SX) -> ca.SX:
+    """Return the entries that are not zero by structure, as a column."""
+    found: Any = matrix.nonzeros()
+    return ca.vertcat(*found)

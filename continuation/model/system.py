@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from continuation.errors import nearest
+from continuation.errors import UnsupportedModel, nearest
 from continuation.model.contact import Contact
 
 
@@ -38,6 +38,8 @@ class System:
     ------
     ValueError
         If names do not match, a symbol is undeclared, or a default value is not finite.
+    UnsupportedModel
+        If the argument of a contact depends on a contact force.
 
     Examples
     --------
@@ -75,6 +77,7 @@ class System:
             if not np.isfinite(value):
                 raise ValueError(f"parameter {key!r} of system {name!r}: expected a finite number, got {value}")
         self._expand(states, derivatives, parameters, phase, outputs or {})
+        self._check_contacts()
 
     def _check_names(self, states: Mapping, derivatives: Mapping, parameters: Mapping, phase: ca.SX | None) -> None:
         if set(states) != set(derivatives):
@@ -110,17 +113,26 @@ class System:
             ca.vertcat(*outputs.values()),
         ]
         expressions = [kind(e) for e in expressions]
-        free = [s.name() for s in ca.symvar(ca.vertcat(*expressions)) if not _among(s, given)]
-        if free:
+        f = ca.Function("system", given, expressions, {"allow_free": True})
+        if f.has_free():
             raise ValueError(
-                f"system {self.name!r}: symbol {free[0]!r} is neither state, parameter, phase nor contact force"
+                f"system {self.name!r}: symbol {f.get_free()[0]!r} is neither state, parameter, phase nor contact force"
             )
-        f = ca.Function("system", given, expressions)
         f = f if kind is ca.SX else f.expand()
         n, m, q = len(states), len(self.contacts), len(parameters)
         self.x, self.phi = ca.SX.sym("x", n), ca.SX.sym("phi", m)
         self.theta, self.p = ca.SX.sym("theta"), ca.SX.sym("p", q)
         self.derivative, self.arguments, self.outputs = f(self.x, self.phi, self.theta, self.p)
+
+    def _check_contacts(self) -> None:
+        for i, contact in enumerate(self.contacts):
+            inner = [c.name for j, c in enumerate(self.contacts) if ca.depends_on(self.arguments[i], self.phi[j])]
+            if inner:
+                raise UnsupportedModel(
+                    f"contact {contact.name!r} of system {self.name!r}: its argument depends on the force of contact "
+                    f"{inner[0]!r}, and no method treats a contact inside a contact; make the point between them a "
+                    "state (with a small mass or a damper), or merge springs in series into one Contact"
+                )
 
     @property
     def autonomous(self) -> bool:
@@ -175,6 +187,21 @@ class System:
         new.defaults = dict(zip(self.parameter_names, self.parameter_vector(values).tolist(), strict=True))
         return new
 
+    def clocked(self, frequency: str, value: float) -> System:
+        """Return an autonomous System as a driven one whose right-hand side does not depend on the phase.
+
+        The phase is then the time in units of a period, ``frequency`` a further parameter with the given value; orbits
+        are found with it as an unknown.
+        """
+        new = self._copy(self.derivative, self.outputs, self.contacts)
+        new.frequency, new.parameter_names = frequency, (*self.parameter_names, frequency)
+        new.defaults = {**self.defaults, frequency: float(value)}
+        old = [self.derivative, self.arguments, self.outputs]
+        f = ca.Function("system", [self.x, self.phi, self.theta, self.p], old)
+        new.p = ca.SX.sym("p", len(new.parameter_names))
+        new.derivative, new.arguments, new.outputs = f(self.x, self.phi, self.theta, new.p[:-1])
+        return new
+
     def _copy(self, derivative: ca.SX, outputs: ca.SX, contacts: tuple[Contact, ...]) -> System:
         new = object.__new__(System)
         new.__dict__.update(self.__dict__)
@@ -195,7 +222,3 @@ class System:
         drive = "autonomous" if self.autonomous else f"phase theta with frequency {self.frequency}"
         parts = [plural(len(self.state_names), "state"), plural(len(self.parameter_names), "parameter")]
         return f"System({self.name!r}: {', '.join(parts)}, {drive}, {plural(len(self.contacts), 'contact')})"
-
-
-def _among(symbol: ca.SX, given: list) -> bool:
-    return any(ca.depends_on(g, symbol) for g in given if g.numel())

@@ -7,40 +7,149 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from continuation.orbits.monodromy import monodromy, multipliers
+from continuation.orbits.contact_residual import contact_defect
+from continuation.orbits.contact_series import ContactPattern
+from continuation.orbits.hill import CondensedHill
+from continuation.orbits.monodromy import flow_of, monodromy, multipliers, transition_matrices
 from continuation.orbits.orbit import Orbit, Stability
+from continuation.orbits.patterns import Contacts, contact_patterns, named
+from continuation.orbits.products import product_eigenvalues
 from continuation.orbits.spectrum import resize
 
-FLOOR = 1e-10  # error of the transition integrator and of the eigenvalues of a well-conditioned matrix
+FLOOR = 1e-10  # relative error of the transition integrator
+_ROUNDING = 1e-12  # the same of the whole matrix, which ill-conditioned multipliers magnify
+_WIDE = 1e8  # spread of the multipliers above which the product of the pieces is not formed
+_CRITICAL = 10.0  # multiples of the error bar within which a multiplier decides the verdict narrowly
+_SAME = 1e-9  # phase error in rad below which contact changes are those of the orbit
 
 
 def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
     """Return the Orbits of corrected harmonic-balance points (u, p, waveform error).
 
-    The error bar of a multiplier is twice its change when the waveform is moved by its estimated error, plus the
-    defect of Liouville's determinant. An orbit with a multiplier within its error bar of the unit circle is undecided.
+    The error bar of a multiplier is the larger of the integrator's estimate and, where asked, its difference from
+    Hill's method. The estimate is twice the change when the waveform is moved by its estimated error, plus Liouville's
+    defect, plus what contact phases that are not the orbit's own and rounding may make. Hill's method is asked for the
+    leading multiplier of every orbit and for those that decide the verdict by less than ten error bars. An orbit with a
+    multiplier within its error bar of the unit circle is undecided.
     """
-    k = problem.ports.outputs
-    flow = monodromy(problem, [(u, p) for u, p, _ in points])
     moved = []
     for u, p, _ in points:
-        estimate = problem.estimate(u, p)
-        step = estimate.step
-        longer = resize(u, k, (len(step) // k - 1) // 2)
-        moved.append((longer + step, p + estimate.dp))
-    other = monodromy(problem, moved)
-    mu, shifted = multipliers(flow.matrices), multipliers(other.matrices)
+        estimate, k = problem.estimate(u, p), problem.ports.outputs
+        longer = resize(u, k, (len(estimate.step) // k - 1) // 2)
+        moved.append((longer + estimate.step, p + estimate.dp))
+    own = [(u, p) for u, p, _ in points]
+    flow = monodromy(problem, own + moved)
+    mu, reach, rounding = spectra(problem, own, flow.matrices[: len(own)])
+    shifted = multipliers(flow.matrices[len(own) :])
+    for i in wide(mu):
+        shifted[i] = from_pieces(problem, *moved[i])[0]
     orbits = []
     for i, (u, p, error) in enumerate(points):
-        bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + FLOOR
-        orbits.append(build_orbit(problem, p, problem.state_spectrum(u, p), mu[i], bar, error))
+        defect, effect = contact_defect(problem, u, p, flow.patterns[i])
+        bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + rounding[i] + effect * reach[i]
+        opinion = second_opinion(problem, u, p, mu[i], bar, flow.patterns[i] if defect < _SAME else None)
+        contacts = named(problem.system, list(flow.patterns[i]), problem.period_multiple)
+        states = problem.state_spectrum(u, p)
+        orbits.append(build_orbit(problem, p, states, mu[i], np.fmax(bar, opinion), error, contacts, opinion))
     return orbits
 
 
+def spectra(
+    problem: Any, points: list[tuple[np.ndarray, float]], matrices: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return multipliers of monodromy matrices (N, n, n), largest first, each (N, n) with its sensitivity and rounding.
+
+    The sensitivity is the change of a multiplier per relative change of the matrix. Where multipliers spread by more
+    than 1e8 they are taken from the pieces of the period one by one, so that small ones are more than noise.
+    """
+    values, reach = conditioned(matrices)
+    order = np.argsort(-np.abs(values) - 1e-12 * (values.imag > 0), axis=-1, kind="stable")
+    mu, reach = np.take_along_axis(values, order, axis=-1), np.take_along_axis(reach, order, axis=-1)
+    rounding = FLOOR * np.abs(mu) + _ROUNDING * reach
+    for i in wide(mu):
+        mu[i], errors = from_pieces(problem, *points[i])
+        rounding[i] = (FLOOR + errors) * np.abs(mu[i])
+        reach[i] *= np.abs(mu[i]) / np.linalg.norm(matrices[i])
+    return mu, reach, rounding
+
+
+def wide(mu: np.ndarray) -> np.ndarray:
+    """Return which of several sets of multipliers (N, n), largest first, spread so widely that the last are noise."""
+    return np.flatnonzero(np.abs(mu[:, 0]) > _WIDE * np.abs(mu[:, -1]))
+
+
+def from_pieces(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return multipliers (n,) that keep their digits however small they are, and their relative errors."""
+    logarithms, angles, errors = product_eigenvalues(transition_matrices(problem, u, p))
+    return np.exp(np.clip(logarithms, None, 700.0)) * np.exp(1j * angles), errors
+
+
+def conditioned(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return eigenvalues (N, n) of matrices and the size of the matrix times the condition number of each.
+
+    NaN and infinity stand for the eigenvalues of matrices that are not finite, infinity for defective ones.
+    """
+    values = np.full(matrices.shape[:2], np.nan, dtype=complex)
+    reach = np.full(values.shape, np.inf)
+    finite = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
+    if not finite.size:
+        return values, reach
+    values[finite], modes = np.linalg.eig(matrices[finite])
+    size = np.linalg.norm(matrices[finite], axis=(1, 2))
+    for i, right, norm in zip(finite, modes, size, strict=True):
+        try:
+            left = np.linalg.inv(right)
+        except np.linalg.LinAlgError:
+            continue
+        reach[i] = np.linalg.norm(right, axis=0) * np.linalg.norm(left, axis=1) * norm
+    return values, reach
+
+
+def second_opinion(
+    problem: Any,
+    u: np.ndarray,
+    p: float,
+    mu: np.ndarray,
+    bar: np.ndarray,
+    patterns: tuple[ContactPattern, ...] | None,
+) -> np.ndarray:
+    """Return the difference (n,) of multipliers from Hill's method, NaN where it is not asked or can't answer.
+
+    It is asked for the largest multiplier (of an autonomous System the largest but that of the flow), and for those
+    whose distance from the unit circle is one to ten bars.
+    ``patterns`` are the contact changes of the orbit where they have been checked.
+    """
+    out = np.full(len(mu), np.nan)
+    leading = 0
+    if problem.free and len(mu) > 1 and abs(mu[0] - 1) < abs(mu[1] - 1):
+        leading = 1  # the first is that of the flow direction
+    if not (flow_of(problem, p).modal and np.isfinite(mu).all()):
+        return out
+    away = np.abs(np.abs(mu) - 1)
+    asked = (away > bar) & (away < _CRITICAL * bar)
+    asked[leading] = True
+    hill = CondensedHill(problem, u, p, patterns=patterns)
+    for i in np.flatnonzero(asked & (mu.imag >= 0) & (mu != 0)):
+        partner = np.abs(mu - mu[i].conj()) <= 1e-9 * np.abs(mu[i])
+        out[partner] = out[i] = abs(hill.multiplier(mu[i]) - mu[i])
+    return out
+
+
 def build_orbit(
-    problem: Any, p: float, coefficients: np.ndarray, mu: np.ndarray, bar: np.ndarray, error: float
+    problem: Any,
+    p: float,
+    coefficients: np.ndarray,
+    mu: np.ndarray,
+    bar: np.ndarray,
+    error: float,
+    contacts: Contacts | None = None,
+    opinion: np.ndarray | float = np.nan,
 ) -> Orbit:
-    """Return the Orbit of a problem at p from state harmonics, multipliers, their error bars and the waveform error."""
+    """Return the Orbit of a problem at p from state harmonics, multipliers, their error bars and the waveform error.
+
+    ``contacts`` are searched along the state harmonics where they are not given; ``opinion`` is the difference of each
+    multiplier from a second method.
+    """
     return Orbit(
         system=problem.system.name,
         state_names=problem.system.state_names,
@@ -53,14 +162,23 @@ def build_orbit(
         multiplier_error=bar,
         stability=verdict(mu, bar),
         error=error,
+        contacts=contact_patterns(problem, coefficients, p) if contacts is None else contacts,
+        second_opinion=np.broadcast_to(opinion, mu.shape),
     )
 
 
 def distance(mu: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return |mu - its partner| (n,) under the best pairing of two sets of multipliers."""
-    table = np.abs(mu[:, None] - other[None, :])
-    rows, columns = linear_sum_assignment(table)
-    return table[rows, columns]
+    """Return |mu - its partner| (n,) under the best pairing of two sets of multipliers, infinity where one is NaN."""
+    if not (np.isfinite(mu).all() and np.isfinite(other).all()):
+        return np.full(len(mu), np.inf)
+    return np.abs(mu - paired(mu, other))
+
+
+def paired(mu: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the second set of multipliers (n,) in the order of the first that pairs them best; NaN where one is."""
+    if not (np.isfinite(mu).all() and np.isfinite(other).all()):
+        return np.full(len(mu), np.nan, dtype=complex)
+    return np.asarray(other)[linear_sum_assignment(np.abs(mu[:, None] - other[None, :]))[1]]
 
 
 def verdict(mu: np.ndarray, bar: np.ndarray) -> Stability:

@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from continuation.branches.newton import size_of
-from continuation.errors import UnsupportedModel
 from continuation.model.ports import LinearPart, Ports
 from continuation.model.system import System
+from continuation.orbits.curvature import critical_form
+from continuation.orbits.estimate import Estimate, estimate_error, product, waveform_size
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.port_force import PortForces
 from continuation.orbits.receptance import Receptance, receptance
+from continuation.orbits.shifted import CriticalForm, ShiftedOperator
 from continuation.orbits.spectrum import operator, pack, resize, unpack
 
 _REMEMBERED = 1024  # error estimates kept
-_FOLD = 100.0  # ratio of the error at fixed parameter to the shortest way back that tells a fold is close
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,35 +53,23 @@ class HarmonicBalance:
         if self.max_harmonics < 1:
             raise ValueError(f"max_harmonics: expected a whole number >= 1, got {self.max_harmonics}")
 
-    def discretise(
-        self, system: System, parameter: str, *, period_multiple: int = 1, **values: float
-    ) -> HarmonicBalanceProblem:
+    def discretise(self, system: System, parameter: str, *, period_multiple: int = 1, **values: float) -> Any:
         """Make a Problem in one continuation parameter; other parameters take the given values or their defaults.
+
+        The Problem of an autonomous System has the period as a further unknown.
 
         Raises
         ------
         ValueError
             For an unknown parameter name or a period multiple below 1.
         UnsupportedModel
-            For an autonomous System, or a contact that enters non-linearly.
+            For a contact that enters non-linearly.
         """
+        if system.autonomous:
+            from continuation.orbits.free_period import free_period
+
+            return free_period(self, system, parameter, period_multiple, values)
         return HarmonicBalanceProblem(self, system, parameter, period_multiple, values)
-
-
-@dataclass(frozen=True, slots=True)
-class _Estimate:
-    """First-order error of a point (u, p): what the harmonics left out would add and change.
-
-    ``step`` (twice the harmonics or more) and ``dp`` are the shortest way back to the branch, ``shortest`` its size in
-    the waveform; ``error`` is twice the error at fixed parameter, or twice ``shortest`` next to a fold, where the first
-    is no measure. ``states`` are the state harmonics of u, whose loads are known here.
-    """
-
-    step: np.ndarray
-    dp: float
-    shortest: float
-    error: float
-    states: np.ndarray
 
 
 class HarmonicBalanceProblem:
@@ -93,8 +82,6 @@ class HarmonicBalanceProblem:
     def __init__(
         self, method: HarmonicBalance, system: System, parameter: str, period_multiple: int, values: dict[str, float]
     ) -> None:
-        if system.autonomous:
-            raise UnsupportedModel(f"system {system.name!r} is autonomous; harmonic balance needs an excitation phase")
         if period_multiple < 1 or period_multiple != int(period_multiple):
             raise ValueError(f"period_multiple: expected a whole number >= 1, got {period_multiple}")
         self.method, self.system, self.parameter = method, system, system.check_parameter(parameter)
@@ -106,10 +93,12 @@ class HarmonicBalanceProblem:
         self._receptance: tuple[LinearPart, Receptance] | None = None
         self._derived: tuple[LinearPart, Any] | None = None
         self._vector: tuple[float, np.ndarray] | None = None
-        self._last: tuple[np.ndarray, float, np.ndarray, np.ndarray] | None = None
+        self._driven: tuple[np.ndarray, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
-        self._corrections: dict[bytes, _Estimate] = {}
+        self._corrections: dict[bytes, Estimate] = {}
         self.evaluations = self.factorisations = 0
+        self.free: str | None = None  # the frequency, where it is an unknown (an autonomous System)
 
     # ---------------------------------------------------------------- parameters and linear part
     def vector(self, p: float) -> np.ndarray:
@@ -125,7 +114,6 @@ class HarmonicBalanceProblem:
         """Change the value of a parameter that is fixed along the branch."""
         if self.values[self.system.check_parameter(name)] != value:
             self.values[name], self._vector = float(value), None
-            self._corrections.clear()
 
     def frequency(self, p: float) -> float:
         """Return the base angular frequency of the orbit (excitation frequency over the period multiple)."""
@@ -138,8 +126,21 @@ class HarmonicBalanceProblem:
         """Return the receptance at p, rebuilt only when the linear part changes."""
         part = self.ports.linear(self.vector(p))
         if self._receptance is None or self._receptance[0] is not part:
-            self._receptance = (part, receptance(part))
+            forcing, reduce = self.ports.forcing(self.vector(p)).u, not self.ports.linear_moves(self._index)
+            self._receptance = (part, receptance(part, forcing, reduce))
         return self._receptance[1]
+
+    @property
+    def large(self) -> bool:
+        """Whether the System has so many states that its linear part is sparse and multipliers are not computed."""
+        return self.ports.large
+
+    def share(self, other: HarmonicBalanceProblem, p: float) -> None:
+        """Use the receptance of a problem of the same linear part at p, with its reference slope; cheap."""
+        part = other.ports.linear(other.vector(p))
+        self.ports.hold(part.S)
+        if self.ports.linear(self.vector(p)).same(part):
+            self._receptance = (self.ports.linear(self.vector(p)), other.receptance(p))
 
     def remember(self, part: LinearPart, make: Callable[[LinearPart], Any]) -> Any:
         """Return what was made of a linear part before, or make it; one such thing is kept per problem."""
@@ -152,36 +153,45 @@ class HarmonicBalanceProblem:
         r, s = self.receptance(p), 1j * orders * self.frequency(p)
         if orders[0] != 0:
             return r.ports(s)
-        static = r.part.C @ r.static @ r.part.B
-        return np.concatenate([static[None].astype(complex), r.ports(s[1:])])
+        return np.concatenate([r.rest_ports[None].astype(complex), r.ports(s[1:])])
 
     def states(self, p: float, load: np.ndarray, power: int = 1) -> np.ndarray:
         """Return state harmonics ``M_k^-power load_k`` for load (K, n) at orders 0..K-1."""
         r = self.receptance(p)
         s = 1j * np.arange(1, len(load)) * self.frequency(p)
-        zero = np.linalg.matrix_power(r.static, power) @ load[0]
-        return np.concatenate([zero[None], r.solve(s, load[1:, :, None], power)[..., 0]])
+        return np.concatenate([r.at_rest(load[0], power)[None], r.solve(s, load[1:, :, None], power)[..., 0]])
+
+    def seen(self, p: float, load: np.ndarray) -> np.ndarray:
+        """Return the port arguments' share ``C M_k^-1 load_k`` (K, k) for load (K, n) at orders 0..K-1."""
+        r = self.receptance(p)
+        s = 1j * np.arange(1, len(load)) * self.frequency(p)
+        return np.concatenate([(r.rest_outputs @ load[0])[None], r.seen(s, load[1:])])
 
     # ---------------------------------------------------------------- residual and derivatives
     def residual(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return F(u, p), same shape as u; cost one closed-form force, about 0.15 ms at H = 63."""
         Y = unpack(u, self.ports.outputs)
-        return pack(self._balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[0])
+        return pack(self.balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[0])
 
-    def _balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return residual harmonics, port receptance, the ports' load V = W + S Y and the forcing of the states."""
         r, orders = self.receptance(p), np.arange(len(Y))
         transfer = self.transfer(p, orders)
-        V = W + _product(r.stiffness(orders), Y[..., None])[..., 0]
-        u = self.ports.forcing(self.vector(p)).u
-        n = self.period_multiple
-        keep = min(len(u), (len(Y) - 1) // n + 1)
-        few = (keep - 1) * n + 1  # harmonics that are forced
-        driven = np.zeros((few, u.shape[1]), dtype=complex)
-        driven[::n] = u[:keep]
-        R = Y - _product(transfer, V[..., None])[..., 0]
-        R[:few] -= self.states(p, driven) @ r.part.C.T
+        V = W + product(r.stiffness(orders), Y[..., None])[..., 0]
+        driven = self.driven(p, len(Y) - 1)
+        R = Y - product(transfer, V[..., None])[..., 0]
+        R[: len(driven)] -= self.seen(p, driven)
         return R, transfer, V, driven
+
+    def driven(self, p: float, harmonics: int) -> np.ndarray:
+        """Return the forcing of the states (K, n) at the orders 0..K-1 <= harmonics that are forced."""
+        u, n = self.ports.forcing(self.vector(p)).u, self.period_multiple
+        keep = min(len(u), harmonics // n + 1)
+        if self._driven is None or self._driven[0] is not u:
+            out = np.zeros(((len(u) - 1) * n + 1, u.shape[1]), dtype=complex)
+            out[::n] = u
+            self._driven = (u, out)
+        return self._driven[1][: (keep - 1) * n + 1]
 
     def _recover(self, p: float, V: np.ndarray, driven: np.ndarray) -> np.ndarray:
         """Return the state harmonics (H+1, n) of port load V and forcing."""
@@ -195,18 +205,47 @@ class HarmonicBalanceProblem:
         Y = unpack(u, self.ports.outputs)
         H = len(Y) - 1
         force = self.forces(Y, self.vector(p), H, 2 * H)
-        R, transfer, V, driven = self._balance(Y, force.W, p)
-        J = operator(transfer, force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
-        Fp = self._parameter_derivative(u, p, driven, V)
-        self._last = (u, p, J, Fp)
-        return pack(R), J, Fp
+        balance = self.balance(Y, force.W, p)
+        J = operator(balance[1], force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
+        Fp = self._derivative(Y, p, balance, self._index)
+        self._last = (u, self.vector(p), J, Fp)
+        return pack(balance[0]), J, Fp
 
-    def _parameter_derivative(self, u: np.ndarray, p: float, driven: np.ndarray, V: np.ndarray) -> np.ndarray:
-        """Return dF/dp: analytic for a frequency that acts through the phase, else central differences of F."""
-        if self._index == self._frequency and not self.ports.frequency_explicit:
-            return pack(self._phase_derivative(p, driven, V))
-        h = 6e-6 * self.parameter_scale(p)  # relative error about h^2 = 4e-11 and 1e-16 / h = 2e-11
-        return (self.residual(u, p + h) - self.residual(u, p - h)) / (2 * h)
+    def parameter_derivative(self, u: np.ndarray, p: float, name: str) -> np.ndarray:
+        """Return dF/d(name), same shape as u, exact for every parameter of the System."""
+        Y = unpack(u, self.ports.outputs)
+        force = self.forces(Y, self.vector(p), len(Y) - 1, 0)
+        balance = self.balance(Y, force.W, p)
+        return self._derivative(Y, p, balance, self.system.parameter_names.index(self.system.check_parameter(name)))
+
+    def _derivative(self, Y: np.ndarray, p: float, balance: tuple[np.ndarray, ...], index: int) -> np.ndarray:
+        """Return dF/dp of one parameter: what it does to phase speed, port forces, forcing and linear part."""
+        _, transfer, V, driven = balance
+        out = np.zeros_like(Y)
+        if index == self._frequency:
+            out += self._phase_derivative(p, driven, V)
+            if not self.ports.frequency_explicit:
+                return pack(out)
+        vector, n = self.vector(p), self.period_multiple
+        out -= product(transfer, self.forces.parameter_derivative(Y, vector, len(Y) - 1, index)[..., None])[..., 0]
+        change = self.forces.parameters.forcing(vector, index).u[: (len(Y) - 1) // n + 1]
+        if change.any():
+            load = np.zeros(((len(change) - 1) * n + 1, change.shape[1]), dtype=complex)
+            load[::n] = change
+            out[: len(load)] -= self.seen(p, load)
+        moved = self.ports.linear_derivative(vector, index)
+        if moved is not None:
+            out -= self._linear_change(Y, p, V, driven, moved)
+        return pack(out)
+
+    def _linear_change(self, Y: np.ndarray, p: float, V: np.ndarray, driven: np.ndarray, moved: Any) -> np.ndarray:
+        """Return d(C x) where A, B and C change, the port load held fixed; S stays what it is."""
+        r, (dA, dB, dC) = self.receptance(p), moved
+        X = self._recover(p, V, driven)
+        S = r.stiffness(np.arange(len(Y)))
+        own = V - product(S, (X @ r.part.C.T)[..., None])[..., 0]
+        load = (dA @ X.T).T + own @ dB.T - product(S, (X @ dC.T)[..., None])[..., 0] @ r.part.B.T
+        return self.seen(p, load) + X @ dC.T
 
     def _phase_derivative(self, p: float, driven: np.ndarray, V: np.ndarray) -> np.ndarray:
         """Return i k / n C M_k^-2 (B V_k + u_k), the derivative of the balance in the frequency."""
@@ -214,7 +253,7 @@ class HarmonicBalanceProblem:
         orders = np.arange(len(V))
         out = np.zeros((len(V), r.part.C.shape[0]), dtype=complex)
         out[1:] = (r.ports(1j * orders[1:] * self.frequency(p), 2) @ V[1:, :, None])[..., 0]
-        out[:few] += self.states(p, driven, 2) @ r.part.C.T
+        out[1:few] += r.seen(1j * orders[1:few] * self.frequency(p), driven[1:], 2)
         return (1j * orders / self.period_multiple)[:, None] * out
 
     def half_operator(self, u: np.ndarray, p: float) -> np.ndarray:
@@ -225,56 +264,33 @@ class HarmonicBalanceProblem:
         slope = self.forces(Y, self.vector(p), 0, 2 * K).slope
         return operator(self.transfer(p, orders), slope, self.receptance(p).stiffness(orders), K, half=True)
 
+    def critical_operator(self, u: np.ndarray, p: float, nu: float) -> np.ndarray:
+        """Return the operator that is singular exactly at a multiplier exp(2 pi i nu); real for nu = 0 and 1/2."""
+        if nu == 0.0:
+            last = self._last
+            return last[2] if last is not None and last[0] is u and last[1] is self.vector(p) else self.linearise(u, p)[1]
+        return self.half_operator(u, p) if nu == 0.5 else ShiftedOperator(self, u, p, nu).matrix()
+
+    def critical_form(self, u: np.ndarray, p: float, nu: float, v: np.ndarray, w: np.ndarray) -> CriticalForm:
+        """Return the derivatives of ``w . M v``, M the critical operator, in the orbit, nu and any parameter."""
+        return critical_form(self, u, p, nu, v, w)
+
     # ---------------------------------------------------------------- error and resolution
-    def estimate(self, u: np.ndarray, p: float) -> _Estimate:
+    def estimate(self, u: np.ndarray, p: float) -> Estimate:
         """Return the error estimate of (u, p), remembered for the points of one branch; cost about a Newton step."""
-        key = _key(u, p)
+        key = u.tobytes() + self.vector(p).tobytes()
         if key not in self._corrections:
             if len(self._corrections) >= _REMEMBERED:
                 self._corrections.clear()
-            self._corrections[key] = self._correction(u, p)
+            self._corrections[key] = estimate_error(self, u, p)
         return self._corrections[key]
 
-    def _correction(self, u: np.ndarray, p: float) -> _Estimate:
-        k = self.ports.outputs
-        Y = unpack(u, k)
-        H = len(Y) - 1
-        n = max(2 * len(Y), self._forced(p) + 1)  # forcing beyond twice the harmonics counts as left out, too
-        longer = np.zeros((n, k), dtype=complex)
-        longer[: H + 1] = Y
-        force = self.forces(longer, self.vector(p), n - 1, n + H)
-        R, transfer, V, driven = self._balance(longer, force.W, p)
-        stiffness = self.receptance(p).stiffness(np.arange(n))
-        middle = len(force.slope) // 2
-        tail = np.zeros_like(longer)
-        own = np.eye(k) - _product(transfer[H + 1 :], force.slope[middle] + stiffness[H + 1 :])
-        tail[H + 1 :] = -R[H + 1 :] / own[:, 0] if k == 1 else -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
-        # what the tail does to the harmonics kept: the port force it adds, through the linearised balance
-        minus, plus = middle + _differences(H + 1, n), middle + _sums(H + 1, n)
-        added = np.einsum("klab,lb->ka", force.slope[minus], tail[H + 1 :])
-        added += np.einsum("klab,lb->ka", force.slope[plus], tail[H + 1 :].conj())
-        low = _product(transfer[: H + 1], added[..., None])[..., 0]
-        J, Fp = self._linearised(u, p)
-        self.factorisations += 1
-        across = np.linalg.solve(J, np.stack([pack(low), Fp], axis=1))
-        # shortest change of (u, p) instead of the one at fixed p, so that it stays finite at folds
-        unit = self.parameter_scale(p)
-        x, y = across[:, 0], across[:, 1] * unit
-        dp = float(x @ y) / (float(y @ y) + size_of(u) ** 2)
-        tail[: H + 1] = unpack(x, k)
-        fixed = self._size(pack(tail))
-        tail[: H + 1] = unpack(x - dp * y, k)
-        step = pack(tail)
-        shortest = self._size(step)
-        error = fixed if fixed < _FOLD * shortest else shortest
-        return _Estimate(step, dp * unit, shortest, 2 * error, self._recover(p, V[: H + 1], driven))
-
-    def _linearised(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+    def linearised(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
         """Return dF/du and dF/dp, the ones of the last Newton step where that was close by."""
-        last = self._last
+        last, vector = self._last, self.vector(p)
         if last is not None and len(last[0]) == len(u):
-            du, dp = float(np.linalg.norm(last[0] - u)), abs(last[1] - p)
-            moved = du / size_of(u) + dp / self.parameter_scale(p)
+            moved = float(np.linalg.norm(last[0] - u)) / size_of(u)
+            moved += float(np.abs(last[1] - vector).max()) / self.parameter_scale(p)
             if moved < 1e-4:
                 return last[2], last[3]
         return self.linearise(u, p)[1:]
@@ -282,10 +298,6 @@ class HarmonicBalanceProblem:
     def error(self, u: np.ndarray, p: float) -> float:
         """Return the estimated largest error of the waveform of the port arguments."""
         return self.estimate(u, p).error
-
-    def _size(self, u: np.ndarray) -> float:
-        Y = np.abs(unpack(u, self.ports.outputs)).sum(axis=1)
-        return float(Y[0] + 2 * Y[1:].sum())
 
     def adapt(self, u: np.ndarray, p: float) -> tuple[np.ndarray, float]:
         """Return u at the number of harmonics its error asks for, and the error estimate at the old number.
@@ -301,7 +313,7 @@ class HarmonicBalanceProblem:
         if error > goal and method.max_harmonics > H:
             return resize(resize(u, k, 2 * H + 1) + estimate.step, k, min(2 * H + 1, method.max_harmonics)), error
         half = (H - 1) // 2
-        if half >= max(7, self._forced(p)) and self._size(u - resize(resize(u, k, half), k, H)) < goal / 10:
+        if half >= max(7, self.forced(p)) and waveform_size(u - resize(resize(u, k, half), k, H), k) < goal / 10:
             return resize(u, k, half), error
         return u, error
 
@@ -310,13 +322,13 @@ class HarmonicBalanceProblem:
         k = self.ports.outputs
         return resize(u, k, (len(like) // k - 1) // 2)
 
-    def _forced(self, p: float) -> int:
+    def forced(self, p: float) -> int:
         """Return the highest harmonic of the orbit that is forced directly."""
         return self.ports.forced_order(self.vector(p)) * self.period_multiple
 
     def least_harmonics(self, p: float) -> int:
         """Return the least number of harmonics that holds all that is forced directly, of the form 2^j - 1."""
-        return ladder(self._forced(p))
+        return ladder(self.forced(p))
 
     def parameter_scale(self, p: float) -> float:
         """Return the size of the continuation parameter: its value or its default, whichever is larger; 1 for 0."""
@@ -339,7 +351,24 @@ class HarmonicBalanceProblem:
     # ---------------------------------------------------------------- orbits
     def state_spectrum(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return the half spectrum (H+1, n) of all states, recovered exactly from the port forces."""
-        return self.estimate(u, p).states
+        estimate = self.estimate(u, p)
+        return self._recover(p, estimate.port_load, self.driven(p, len(estimate.port_load) - 1))
+
+    def waveform(self, u: np.ndarray, p: float, samples: int) -> np.ndarray:
+        """Return the states (samples, n) at equidistant phases of the period, of as many harmonics as they resolve."""
+        X = self.state_spectrum(u, p)[: samples // 2]
+        return np.fft.irfft(X, samples, axis=0, norm="forward")
+
+    def doubled(self, u: np.ndarray) -> tuple[HarmonicBalanceProblem, np.ndarray]:
+        """Return the problem of twice the period, and the same orbit as an unknown of it."""
+        problem = HarmonicBalanceProblem(
+            self.method, self.system, self.parameter, 2 * self.period_multiple, self.values
+        )
+        problem.free = self.free
+        Y = unpack(u, self.ports.outputs)
+        wide = np.zeros((2 * len(Y) - 1, Y.shape[1]), dtype=complex)
+        wide[::2] = Y
+        return problem, pack(wide)
 
     def unknown(self, orbit: Orbit) -> np.ndarray:
         """Return the unknown vector of an orbit of this System, whatever method it came from."""
@@ -355,18 +384,24 @@ class HarmonicBalanceProblem:
         u, k = pack(Y), self.ports.outputs
         if self.method.harmonics is not None:
             return resize(u, k, self.method.harmonics)
-        return resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self._forced(orbit.value)))))
+        return resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self.forced(orbit.value)))))
 
     def orbits(self, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
         """Return Orbits with certified multipliers for corrected points (u, p, waveform error), in one batch."""
         from continuation.orbits.floquet import make_orbits
+        from continuation.orbits.many_states import make_large_orbits
 
+        if self.large:
+            return make_large_orbits(self, points)
         return make_orbits(self, points)
 
     def monodromies(self, points: list[tuple[np.ndarray, float]]) -> np.ndarray:
         """Return monodromy matrices (N, n, n) of points (u, p)."""
+        from continuation.orbits.many_states import refuse
         from continuation.orbits.monodromy import monodromy
 
+        if self.large:
+            refuse(self)
         return monodromy(self, points).matrices
 
     def flip(self, u: np.ndarray, p: float) -> float:
@@ -392,30 +427,25 @@ class HarmonicBalanceProblem:
 
         return find_orbit(self, values)
 
+    def phase_direction(self, u: np.ndarray, p: float) -> np.ndarray:
+        """Return du/dphase, the direction in the unknown that shifts the orbit in time."""
+        Y = unpack(u, self.ports.outputs)
+        return pack(1j * np.arange(len(Y))[:, None] * Y)
+
+    def flow(self, u: np.ndarray, p: float) -> np.ndarray:
+        """Return d(states)/dphase (n,) at phase 0."""
+        X = self.state_spectrum(u, p)
+        return np.asarray((2j * np.arange(len(X))[:, None] * X).sum(axis=0).real)
+
+    def from_orbit(self, orbit: Orbit) -> Orbit:
+        """Bring an orbit of this System that any method found into this one (raises NoConvergence)."""
+        return self.solve(orbit, orbit.value)
+
     def solve(self, orbit: Orbit, value: float) -> Orbit:
         """Correct a neighbouring orbit at a given value of the continuation parameter (raises NoConvergence)."""
         from continuation.orbits.start import correct_at
 
         return correct_at(self, self.unknown(orbit), value)
-
-
-def _key(u: np.ndarray, p: float) -> bytes:
-    return u.tobytes() + np.float64(p).tobytes()
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Multiply stacks of small matrices; one by one, that is elementwise, for a single port."""
-    return a * b if a.shape[-2:] == b.shape[-2:] == (1, 1) else a @ b
-
-
-def _differences(low: int, high: int) -> np.ndarray:
-    """Orders k - l for k < low <= l < high."""
-    return np.arange(low)[:, None] - np.arange(low, high)[None, :]
-
-
-def _sums(low: int, high: int) -> np.ndarray:
-    """Orders k + l for k < low <= l < high."""
-    return np.arange(low)[:, None] + np.arange(low, high)[None, :]
 
 
 def ladder(harmonics: int) -> int:

@@ -15,15 +15,16 @@ import scipy.linalg as sl
 
 from continuation.errors import ContinuationError
 from continuation.model.ports import LinearPart
-from continuation.orbits import contact_series as series
+from continuation.orbits.contact_series import ContactPattern
 from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
-from continuation.orbits.spectrum import unpack
+from continuation.orbits.waves import Waves
 
 _NODES = 14
 _PHASE = 3.5  # largest |eigenvalue| * length of a piece
 _RESOLVED = 1e-8  # Legendre tail of the port slope, relative; the collocation error is about its square
 _DEPTH = 40
 _MOST_PIECES = 200_000
+_TOGETHER = 600_000  # entries of one piece each of the orbits that are integrated together: bounds the memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +32,12 @@ class Monodromy:
     """Monodromy matrices of several orbits: matrices (N, n, n), and the Liouville defect of each (N,).
 
     The defect is ``log|det M|`` minus the integrated trace of the Jacobian: it checks the integrator, not the orbit.
+    ``patterns`` are the contact changes that the integration stopped at, of every orbit one per contact.
     """
 
     matrices: np.ndarray
     liouville: np.ndarray
+    patterns: tuple[tuple[ContactPattern, ...], ...]
 
 
 @lru_cache(maxsize=4)
@@ -70,6 +73,8 @@ class _Flow:
         self.partner[np.flatnonzero(second) - 1] += 1
         self.side = np.where(second, -1.0, 1.0)
         self.rates = values[first]
+        self.poles = values
+        self.left, self.right = C @ modes, np.linalg.solve(modes, B) if self.modal else B
         self.column = np.searchsorted(first, kept)
         self.C, self.B, self.CA = C @ self.basis, self.inverse @ B, C @ matrix @ self.basis
         self.radius = float(np.abs(values).max(initial=0.0))
@@ -102,98 +107,13 @@ def _flow(part: LinearPart) -> _Flow:
     return _Flow(part.A - part.B @ part.S @ part.C, part.B, part.C)
 
 
-class _Waves:
-    """Port slopes along several orbits at once; ``owner`` tells which orbit a piece belongs to."""
-
-    def __init__(self, problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, float]]) -> None:
-        self.problem, self.vectors = problem, [problem.vector(p) for _, p in orbits]
-        ports = problem.ports
-        spectra = [unpack(u, ports.outputs) for u, _ in orbits]
-        self.Y = _stack(spectra) if ports.smooth else np.zeros((len(orbits), 1, ports.outputs))
-        self.patterns, self.gains, self.d = [], [], []
-        for i, contact in enumerate(problem.system.contacts):
-            arguments = [problem.forces.argument(i, Y, v) for Y, v in zip(spectra, self.vectors, strict=True)]
-            self.patterns.append(_padded(series.find_patterns(_stack(arguments), contact)))
-            self.gains.append(_stack([ports.forcing(v).gain[i].T for v in self.vectors]))
-            self.d.append(np.array([ports.linear(v).d[i] for v in self.vectors]))
-
-    def pieces(self, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Starts, lengths and owners of pieces that end at contact changes and are at most ``longest`` (N,) long."""
-        tables = [phases for phases, _ in self.patterns]
-        ends = np.tile([0.0, 2 * np.pi], (len(longest), 1))
-        edges = np.sort(np.minimum(np.concatenate([ends, *tables], axis=1), 2 * np.pi), axis=1)
-        gaps = np.diff(edges, axis=1)
-        counts = np.ceil(gaps / longest[:, None]).astype(int)  # none for an empty gap
-        flat = counts.ravel()
-        size = np.repeat(np.divide(gaps, counts, out=np.zeros_like(gaps), where=counts > 0).ravel(), flat)
-        order = np.arange(flat.sum()) - np.repeat(np.cumsum(flat) - flat, flat)
-        owner = np.repeat(np.repeat(np.arange(len(longest)), gaps.shape[1]), flat)
-        return np.repeat(edges[:, :-1].ravel(), flat) + order * size, size, owner
-
-    def at(self, phases: np.ndarray, owner: np.ndarray) -> np.ndarray:
-        """Port slope w' (P, q, m, k) at phases (P, q); each row of phases lies inside one contact mode."""
-        problem = self.problem
-        ports, n = problem.ports, problem.period_multiple
-        slope = np.zeros((*phases.shape, ports.inputs, ports.outputs))
-        middle = phases.mean(axis=1)
-        for contact, patterns, gains, d in zip(problem.system.contacts, self.patterns, self.gains, self.d, strict=True):
-            changes, modes = patterns
-            mode = modes[owner, np.sum(changes[owner] < middle[:, None], axis=1)]
-            gain = _series(gains, owner, phases * n)
-            rigid = np.array(contact.slopes)[mode][:, None, None]
-            slope += (rigid * gain)[..., None] * d[owner][:, None, None, :]
-        if ports.smooth:
-            y = _series(self.Y, owner, phases).reshape(-1, ports.outputs).T
-            theta = (phases * n).ravel()
-            if all(np.array_equal(v, self.vectors[0]) for v in self.vectors):
-                vectors: np.ndarray = self.vectors[0]
-            else:
-                vectors = np.repeat(np.array(self.vectors)[owner], phases.shape[1], axis=0).T
-            tangent = ports.law(y, theta, vectors)[1]
-            slope += tangent.transpose(2, 0, 1).reshape(slope.shape)
-        return slope
+def flow_of(problem: HarmonicBalanceProblem, p: float) -> _Flow:
+    """Return modes and exponentials of the linear part at p, kept while it stays the same."""
+    flow: _Flow = problem.remember(problem.ports.linear(problem.vector(p)), _flow)
+    return flow
 
 
-def _stack(arrays: list[np.ndarray]) -> np.ndarray:
-    """Stack arrays whose first axes differ in length, padded with zeros."""
-    longest = max(len(a) for a in arrays)
-    out = np.zeros((len(arrays), longest, *arrays[0].shape[1:]), dtype=complex)
-    for row, a in zip(out, arrays, strict=True):
-        row[: len(a)] = a
-    return out
-
-
-def _padded(patterns: list[series.ContactPattern]) -> tuple[np.ndarray, np.ndarray]:
-    """Return phases (N, r) and modes (N, r + 1) of patterns as tables, with changes at infinity as filling."""
-    longest = max(len(p.phases) for p in patterns)
-    phases = np.full((len(patterns), longest), np.inf)
-    modes = np.zeros((len(patterns), longest + 1), dtype=int)
-    for i, p in enumerate(patterns):
-        phases[i, : len(p.phases)], modes[i, : len(p.modes)] = p.phases, p.modes
-    return phases, modes
-
-
-def _series(spectra: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Evaluate half spectra (N, K+1, c) of the owners at phases (P, q); returns (P, q, c)."""
-    k = np.arange(spectra.shape[1])
-    scaled = spectra * np.where(k == 0, 1.0, 2.0)[:, None]
-    first = np.exp(1j * phases)
-    if len(k) <= 8:  # few harmonics: powers by multiplication
-        out = np.zeros((*phases.shape, spectra.shape[2]))
-        power = np.ones_like(first)
-        for order in k:
-            out += (power[..., None] * scaled[owner, order][:, None, :]).real
-            power = power * first
-        return out
-    out = np.empty((*phases.shape, spectra.shape[2]))
-    for start in range(0, len(owner), 512):  # bounds the memory of the exponentials
-        rows = slice(start, start + 512)
-        waves = np.exp(1j * phases[rows, :, None] * k)
-        out[rows] = (waves @ scaled[owner[rows]]).real
-    return out
-
-
-def _resolve(waves: _Waves, flow: _Flow, S: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, ...]:
+def _resolve(waves: Waves, flow: _Flow, S: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, ...]:
     """Halve pieces until the slope is resolved; return lengths (P,), slopes at nodes (P, q, m, k), owners (P,).
 
     A piece is short enough when neither the constant part nor what the ports add to it turns by more than ``_PHASE``.
@@ -258,50 +178,90 @@ def monodromy(problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, fl
     """
     n = len(problem.system.state_names)
     matrices, defects = np.empty((len(orbits), n, n)), np.empty(len(orbits))
+    patterns: list[tuple[ContactPattern, ...]] = [()] * len(orbits)
+    for flow, part, members in _batches(problem, orbits):
+        pieces = _integrate(problem, flow, part, [orbits[i] for i in members])
+        matrices[members] = flow.basis @ _product(pieces) @ flow.inverse
+        # the determinant piece by piece: that of a strongly damped period is below rounding
+        logs = np.bincount(pieces.owner, np.linalg.slogdet(pieces.matrices)[1], minlength=len(members))
+        defects[members] = logs - pieces.traces
+        for i, used in zip(members, pieces.patterns, strict=True):
+            patterns[i] = used
+    return Monodromy(matrices, defects, tuple(patterns))
+
+
+def transition_matrices(problem: HarmonicBalanceProblem, u: np.ndarray, p: float) -> np.ndarray:
+    """Return transition matrices (P, n, n) of consecutive pieces of the period, the first piece in front.
+
+    They are given in one common basis, so that their product is similar to the monodromy matrix; see
+    :func:`continuation.orbits.products.product_eigenvalues`.
+    """
+    ((flow, part, _),) = _batches(problem, [(u, p)])
+    return _integrate(problem, flow, part, [(u, p)]).matrices
+
+
+def _batches(
+    problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, float]]
+) -> list[tuple[_Flow, LinearPart, list[int]]]:
+    """Return the orbits (by number) of the same linear part, at most 64 together, fewer with many states."""
     groups: dict[int, list[int]] = {}
     parts = {}
     for i, (_, p) in enumerate(orbits):
         part = problem.ports.linear(problem.vector(p))
         parts[id(part)] = part
         groups.setdefault(id(part), []).append(i)
+    out = []
     for key, members in groups.items():
-        part = parts[key]
-        flow = problem.remember(part, _flow)
-        for start in range(0, len(members), 64):
-            chunk = members[start : start + 64]
-            matrices[chunk], defects[chunk] = _chunk(problem, flow, part, [orbits[i] for i in chunk])
-    return Monodromy(matrices, defects)
+        flow = problem.remember(parts[key], _flow)
+        most = max(1, min(64, _TOGETHER // len(flow.matrix) ** 2))
+        out += [(flow, parts[key], members[start : start + most]) for start in range(0, len(members), most)]
+    return out
 
 
-def _chunk(
+@dataclass(frozen=True, slots=True)
+class _Pieces:
+    """Transition matrices (P, n, n) in the basis of the flow, their owners (P,), traces and patterns of each orbit."""
+
+    matrices: np.ndarray
+    owner: np.ndarray
+    traces: np.ndarray
+    patterns: list[tuple[ContactPattern, ...]]
+
+
+def _integrate(
     problem: HarmonicBalanceProblem, flow: _Flow, part: LinearPart, orbits: list[tuple[np.ndarray, float]]
-) -> tuple[np.ndarray, np.ndarray]:
+) -> _Pieces:
     omega = np.array([problem.frequency(p) for _, p in orbits])
     if 2 * np.pi * flow.radius > _MOST_PIECES * _PHASE * omega.min():
         raise ContinuationError(
             f"monodromy matrix: the fastest mode ({flow.radius:.2e} rad per unit time) turns too often in one period; "
             "leave out or soften the stiffest linear coordinates"
         )
-    length, values, owner = _resolve(_Waves(problem, orbits), flow, part.S, omega)
+    waves = Waves(problem, orbits)
+    length, values, owner = _resolve(waves, flow, part.S, omega)
     duration = length / omega[owner]
     weights = _collocation(_NODES)[1]
     power = duration * np.einsum("q,pqmk,km->p", weights, values, part.C @ part.B)
     traces = np.trace(part.A) * 2 * np.pi / omega + np.bincount(owner, power, minlength=len(orbits))
-    pieces = _pieces(flow, duration, values + part.S)
-    counts = np.bincount(owner, minlength=len(orbits))
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    product = np.broadcast_to(np.eye(len(part.A)), (len(orbits), *part.A.shape)).copy()
-    for j in range(int(counts.max())):
-        active = np.flatnonzero(counts > j)
-        product[active] = pieces[offsets[active] + j] @ product[active]
-    matrices = flow.basis @ product @ flow.inverse
-    # the determinant piece by piece: that of a strongly damped period is below rounding
-    logs = np.bincount(owner, np.linalg.slogdet(pieces)[1], minlength=len(orbits))
-    return matrices, logs - traces
+    return _Pieces(_pieces(flow, duration, values + part.S), owner, traces, waves.used())
+
+
+def _product(pieces: _Pieces) -> np.ndarray:
+    """Multiply the pieces of every orbit; returns (N, n, n)."""
+    n = pieces.matrices.shape[1]
+    product = [np.eye(n)] * len(pieces.traces)
+    for owner, piece in zip(pieces.owner.tolist(), pieces.matrices, strict=True):  # in order of the phase
+        product[owner] = piece @ product[owner]
+    return np.array(product)
 
 
 def multipliers(matrices: np.ndarray) -> np.ndarray:
-    """Return Floquet multipliers (N, n) of monodromy matrices (N, n, n), largest modulus first."""
-    values = np.linalg.eigvals(matrices).astype(complex)
+    """Return Floquet multipliers (N, n) of monodromy matrices (N, n, n), largest modulus first.
+
+    Where a matrix is not finite, its multipliers are NaN.
+    """
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    values = np.full(matrices.shape[:2], np.nan, dtype=complex)
+    values[finite] = np.linalg.eigvals(matrices[finite])
     order = np.argsort(-np.abs(values) - 1e-12 * (values.imag > 0), axis=-1, kind="stable")
     return np.take_along_axis(values, order, axis=-1)

@@ -42,6 +42,20 @@ class Orbit:
     error : float
         Estimated largest error of the waveform: of the port arguments by harmonic balance (for a gear, lambda; rates
         of change err more), of all states by shooting.
+    contacts : mapping of str to (array (r,), integer array (r + 1,))
+        Of every Contact the excitation phases in rad, 0 .. 2*pi*period_multiple, at which it changes its linear piece,
+        and the index of the piece before the first change and after each.
+    second_opinion : array (n,)
+        Difference of each multiplier from a second method, NaN where none was asked (see
+        :func:`continuation.certify`).
+
+    Examples
+    --------
+    >>> orbit = Orbit(system="s", state_names=("x",), parameter="g", parameters={"g": 1.0}, period=2.0,
+    ...               period_multiple=1, coefficients=np.array([[0j], [0.5]]), multipliers=np.array([0.5 + 0j]),
+    ...               multiplier_error=np.zeros(1), stability="stable", error=0.0)
+    >>> orbit.extremes("x"), orbit.exponents.round(6).tolist(), orbit.decay_times.round(6).tolist()
+    ((-1.0, 1.0), [(-0.346574+0j)], [2.88539])
     """
 
     system: str
@@ -55,12 +69,16 @@ class Orbit:
     multiplier_error: np.ndarray = field(repr=False)
     stability: Stability
     error: float
+    contacts: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
+    second_opinion: np.ndarray = field(default=np.nan, repr=False)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
-        for name in ("coefficients", "multipliers", "multiplier_error"):
-            array = np.array(getattr(self, name))
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        opinion = np.broadcast_to(np.asarray(self.second_opinion, dtype=float), np.shape(self.multipliers))
+        object.__setattr__(self, "second_opinion", opinion)
+        for name in ("coefficients", "multipliers", "multiplier_error", "second_opinion"):
+            object.__setattr__(self, name, _frozen(getattr(self, name)))
+        contacts = {k: (_frozen(phases), _frozen(modes)) for k, (phases, modes) in self.contacts.items()}
+        object.__setattr__(self, "contacts", MappingProxyType(contacts))
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 
     @property
@@ -72,6 +90,25 @@ class Orbit:
     def harmonic_count(self) -> int:
         """Number of harmonics kept."""
         return len(self.coefficients) - 1
+
+    @property
+    def exponents(self) -> np.ndarray:
+        """Floquet exponents ``log(multiplier) / period``, complex (n,), per unit of time.
+
+        Imaginary parts lie within half the orbit's frequency; the real part of a multiplier 0 is minus infinity.
+        """
+        size = np.abs(self.multipliers)
+        growth = np.log(size, out=np.full(size.shape, -np.inf), where=size > 0)
+        growth[np.isnan(size)] = np.nan
+        out = np.empty(size.shape, dtype=complex)
+        out.real, out.imag = growth / self.period, np.angle(self.multipliers) / self.period
+        return out
+
+    @property
+    def decay_times(self) -> np.ndarray:
+        """Time (n,) in which each mode falls to 1/e: negative where it grows, infinite at |mu| = 1."""
+        rate = -self.exponents.real
+        return np.divide(1.0, rate, out=np.full(rate.shape, np.inf), where=rate != 0)
 
     def index(self, state: str) -> int:
         """Return the column of a state; an unknown name raises ValueError that lists the nearest."""
@@ -100,6 +137,12 @@ class Orbit:
         count = 32 << max(self.harmonic_count, 4).bit_length()
         x = np.fft.irfft(self.harmonics(state), count, norm="forward")
         return -_peak(-x), _peak(x)
+
+
+def _frozen(values: np.ndarray) -> np.ndarray:
+    array = np.array(values)
+    array.flags.writeable = False
+    return array
 
 
 def _peak(x: np.ndarray) -> float:

@@ -6,8 +6,6 @@ that the Euclidean norm of u is the root mean square of the waveform and does no
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 _ROOT2 = np.sqrt(2.0)
@@ -38,13 +36,6 @@ def resize(u: np.ndarray, k: int, harmonics: int) -> np.ndarray:
     return pack(new)
 
 
-@lru_cache(maxsize=64)
-def _indices(rows: int, columns: int, half: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Orders k - l and k + l for k in rows, l in columns; integer orders from 0, or half-integer ones from 1/2."""
-    k, l = np.arange(rows)[:, None], np.arange(columns)[None, :]  # noqa: E741
-    return k - l, k + l + int(half)
-
-
 def operator(
     transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, columns: int, half: bool = False
 ) -> np.ndarray:
@@ -66,64 +57,49 @@ def operator(
     -------
     array ((2K-1) k, (2 columns-1) k), or (2K k, 2 columns k) when ``half``
     """
-    K, k, _ = transfer.shape
+    K, k, m = transfer.shape
     L = len(slope) // 2
-    if k == slope.shape[1] == 1:
-        return _scalar_operator(transfer[:, 0, 0], slope[:, 0, 0], shift[:, 0, 0], columns, half)
-    minus, plus = _indices(K, columns, half)
-    P, Q = _times(transfer, slope[L + minus]), _times(transfer, slope[L + plus])
+    rows, width = (K, columns) if half else (K - 1, columns - 1)
+    lead = 0 if half else k
+    out = np.empty((lead + 2 * rows * k, lead + 2 * width * k))
     diagonal = np.arange(min(K, columns))
-    P[diagonal, diagonal] += _times(transfer[:, None], shift[:, None])[diagonal, 0]
-    P, Q = -P, -Q
-    P[diagonal, diagonal] += np.eye(k)
-    P, Q = P.transpose(0, 2, 1, 3), Q.transpose(0, 2, 1, 3)
-    if half:
-        return _real_blocks(P, Q, k)
-    return _bordered_blocks(P, Q, k)
+    own = np.einsum("kam,kmb->kab", transfer, shift)[: len(diagonal)]
+    for i, j in np.ndindex(k, k):
+        P = Q = np.zeros((K, columns), dtype=complex)
+        for port in range(m):
+            toeplitz, hankel = _tables(slope[:, port, j], L, K, columns, half)
+            gain = -transfer[:, i, port, None]
+            P, Q = (gain * toeplitz, gain * hankel) if port == 0 else (P + gain * toeplitz, Q + gain * hankel)
+        P[diagonal, diagonal] += float(i == j) - own[:, i, j]
+        _place(out, P, Q, (i, j, k), half)
+    return out
 
 
-def _scalar_operator(
-    transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, columns: int, half: bool
-) -> np.ndarray:
-    """The same for one port, with the Toeplitz and Hankel tables as views of the coefficients."""
-    K, L = len(transfer), len(slope) // 2
+def _tables(slope: np.ndarray, L: int, K: int, columns: int, half: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return Toeplitz and Hankel tables of two-sided coefficients as views: orders k - l, and k + l (+ 1 if half)."""
+    slope = np.ascontiguousarray(slope)
     stride = slope.strides[0]
     view = np.lib.stride_tricks.as_strided
     toeplitz = view(slope[L:], (K, columns), (stride, -stride), writeable=False)  # reaches back to L - columns + 1
     hankel = view(slope[L + int(half) :], (K, columns), (stride, stride), writeable=False)
-    column = -transfer[:, None]
-    P, Q = column * toeplitz, column * hankel
-    diagonal = np.arange(min(K, columns))
-    P[diagonal, diagonal] += 1.0 - (transfer * shift)[: len(diagonal)]
-    P, Q = P[:, None, :, None], Q[:, None, :, None]
-    return _real_blocks(P, Q, 1) if half else _bordered_blocks(P, Q, 1)
+    return toeplitz, hankel
 
 
-def _times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    if a.ndim == 3:
-        a = a[:, None]
-    return a * b if a.shape[-2:] == (1, 1) and b.shape[-2:] == (1, 1) else a @ b
-
-
-def _real_blocks(P: np.ndarray, Q: np.ndarray, k: int) -> np.ndarray:
-    rows, columns = P.shape[0] * k, P.shape[2] * k
-    plus, minus = (P + Q).reshape(rows, columns), (P - Q).reshape(rows, columns)
-    out = np.empty((2 * rows, 2 * columns))
-    out[:rows, :columns], out[:rows, columns:] = plus.real, -minus.imag
-    out[rows:, :columns], out[rows:, columns:] = plus.imag, minus.real
-    return out
-
-
-def _bordered_blocks(P: np.ndarray, Q: np.ndarray, k: int) -> np.ndarray:
-    """Real form with the mean: row 0 and column 0 carry the factors sqrt2 of the packing."""
-    inner = _real_blocks(P[1:, :, 1:], Q[1:, :, 1:], k)
-    out = np.empty((inner.shape[0] + k, inner.shape[1] + k))
-    out[k:, k:] = inner
-    out[:k, :k] = P[0, :, 0].real
-    top = P[0, :, 1:].reshape(k, -1)  # row 0: Q is the conjugate of P there
-    half = top.shape[1]
-    out[:k, k : k + half], out[:k, k + half :] = _ROOT2 * top.real, -_ROOT2 * top.imag
-    side = P[1:, :, 0].reshape(-1, k)
-    rows = side.shape[0]
-    out[k : k + rows, :k], out[k + rows :, :k] = _ROOT2 * side.real, _ROOT2 * side.imag
-    return out
+def _place(out: np.ndarray, P: np.ndarray, Q: np.ndarray, at: tuple[int, int, int], half: bool) -> None:
+    """Write the real form of the block of components i, j into the operator; factors sqrt2 of the packing for means."""
+    i, j, k = at
+    if half:
+        body, p, q = out, P, Q
+    else:
+        out[i, j] = P[0, 0].real
+        width = (out.shape[1] - k) // 2
+        top = _ROOT2 * P[0, 1:]  # row 0: Q is the conjugate of P there
+        out[i, k + j : k + width : k], out[i, k + width + j :: k] = top.real, -top.imag
+        rows = (out.shape[0] - k) // 2
+        side = _ROOT2 * P[1:, 0]
+        out[k + i : k + rows : k, j], out[k + rows + i :: k, j] = side.real, side.imag
+        body, p, q = out[k:, k:], P[1:, 1:], Q[1:, 1:]
+    rows, width = body.shape[0] // 2, body.shape[1] // 2
+    plus, minus = p + q, p - q
+    body[i:rows:k, j:width:k], body[i:rows:k, width + j :: k] = plus.real, -minus.imag
+    body[rows + i :: k, j:width:k], body[rows + i :: k, width + j :: k] = plus.imag, minus.real

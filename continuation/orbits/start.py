@@ -6,15 +6,19 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 
 from continuation.branches.newton import Metric, Node, correct, size_of
-from continuation.errors import ContinuationError, NoConvergence
+from continuation.errors import ContinuationError, NoConvergence, UnsupportedModel
+from continuation.model.linear_part import spectral_radius
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.spectrum import pack, resize
 
 _PERIODS = (30, 200, 1000)
 _WIDTHS = ((0.01,), (0.1, 0.03, 0.01, 0.003), (0.5, 0.2, 0.1, 0.05, 0.02, 0.01, 0.003, 0.001))
 _SAMPLES = 256
+_FEW_SAMPLES = 64  # with many states
+_AT_ONCE = 64  # steps in one call; divides the steps per period
 _HARMONICS = 15
 
 
@@ -32,20 +36,23 @@ def find_orbit(problem: Any, values: dict[str, float]) -> Orbit:
         )
     p = float(values.get(problem.parameter, problem.values[problem.parameter]))
     problem.frequency(p)  # must be positive
-    state = np.zeros(len(system.state_names))
-    reasons: list[str] = []
+    state = problem.ports.rest
+    failures: list[NoConvergence] = []
     for periods, widths in zip(_PERIODS, _WIDTHS, strict=True):
         waves, state = _integrate(problem, p, state, periods)
         for wave in waves:
             try:
                 return _from_waveform(problem, wave, p, widths)
             except NoConvergence as failure:
-                reasons.append(str(failure))
+                if isinstance(failure.__cause__, UnsupportedModel):  # no other start makes a corner smooth
+                    raise failure.__cause__ from None
+                failures.append(failure)
     raise NoConvergence(
         f"no periodic orbit of period {problem.period_multiple} found at {problem.parameter} = {p:g} "
-        f"(last attempt: {reasons[-1] if reasons else 'the integration diverged'}); "
+        f"(last attempt: {failures[-1] if failures else 'the integration diverged'}); "
         "start at another parameter value, away from resonance, or with more damping",
-        parameter=p,
+        failures[-1].history if failures else (),
+        p,
     )
 
 
@@ -67,9 +74,9 @@ def _settle(problem: Any, u: np.ndarray, p: float) -> tuple[Node, float]:
 
 
 def _from_waveform(problem: Any, wave: np.ndarray, p: float, widths: tuple[float, ...]) -> Orbit:
-    """Newton on smoothed laws of decreasing width, then on the exact one, from samples (N, n) of the states."""
+    """Newton on smoothed laws of decreasing width, then on the exact one, from samples (N, k) at the ports."""
     k = problem.ports.outputs
-    Y = np.fft.rfft(wave, axis=0)[: len(wave) // 3] / len(wave) @ problem.ports.linear(problem.vector(p)).C.T
+    Y = np.fft.rfft(wave, axis=0)[: len(wave) // 3] / len(wave)
     Y[0] = Y[0].real
     H = problem.method.harmonics or max(_HARMONICS, problem.least_harmonics(p))
     u = resize(pack(Y), k, H)
@@ -81,6 +88,8 @@ def _from_waveform(problem: Any, wave: np.ndarray, p: float, widths: tuple[float
                 problem.values,
             )  # fmt: skip
             metric = Metric(size_of(u), problem.parameter_scale(p))
+            if problem.large:
+                soft.share(problem, p)
             try:
                 C = soft.ports.linear(soft.vector(p)).C
                 if not np.array_equal(C, problem.ports.linear(problem.vector(p)).C):
@@ -92,7 +101,7 @@ def _from_waveform(problem: Any, wave: np.ndarray, p: float, widths: tuple[float
 
 
 def _integrate(problem: Any, p: float, state: np.ndarray, periods: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Integrate with classical Runge-Kutta; return waveforms (last, averaged) sampled over one orbit, and the end."""
+    """Integrate with classical Runge-Kutta; return the port arguments (last, averaged) over one orbit, and the end."""
     system, n = problem.system, problem.period_multiple
     steps = _steps(problem, p)
     vector, omega = problem.vector(p), problem.frequency(p) * n
@@ -105,30 +114,44 @@ def _integrate(problem: Any, p: float, state: np.ndarray, periods: int) -> tuple
     k3 = f(x + h / 2 * k2, theta + h / 2)
     k4 = f(x + h * k3, theta + h)
     step = ca.Function("step", [x, theta], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-    march = step.mapaccum("march", steps * n)
-    phases = (np.arange(steps * n) * h).reshape(1, -1)
+    march = _march(step, problem.ports.linear(vector).C, _AT_ONCE)
+    phases = (np.arange(steps * n) * h).reshape(-1, 1, _AT_ONCE)
     waves: list[np.ndarray] = []
     for _ in range(max(1, periods // n)):
-        path = np.array(march(state, phases)).T
-        if not np.all(np.isfinite(path)) or np.abs(path).max() > 1e12:
+        pieces, end = [], state
+        for at in phases:
+            y, end = march(end, at)
+            pieces.append(np.array(y))
+        end = np.array(end).ravel()
+        if not np.all(np.isfinite(end)) or np.abs(end).max() > 1e12:
             if not waves:
                 return [], np.zeros_like(state)
             break
-        waves = [*waves[-15:], np.vstack([state, path[:-1]])]
-        state = path[-1]
+        waves = [*waves[-15:], np.hstack(pieces).T]
+        state = end
     stride = max(1, steps * n // (_SAMPLES * n))
     last, mean = waves[-1][::stride], np.mean(waves, axis=0)[::stride]
     return [last, mean], state
 
 
+def _march(step: ca.Function, C: np.ndarray, count: int) -> ca.Function:
+    """Return ``(x, phases (1, count)) -> C x at these phases (k, count), x after the last``: states in between go."""
+    x, phases = ca.MX.sym("x", step.size1_in(0)), ca.MX.sym("phases", 1, count)
+    seen, end = [], x
+    for i in range(count):
+        seen.append(ca.DM(sp.csc_matrix(C)) @ end)
+        end = step(end, phases[i])
+    return ca.Function("march", [x, phases], [ca.horzcat(*seen), end])
+
+
 def _steps(problem: Any, p: float) -> int:
     """Steps per excitation period, a power of two, that keep Runge-Kutta stable for the linear part."""
     part = problem.ports.linear(problem.vector(p))
-    radius = np.abs(np.linalg.eigvals(part.A - part.B @ part.S @ part.C)).max(initial=0.0)
+    radius = spectral_radius(part.shifted())
     turns = radius * 2 * np.pi / (problem.frequency(p) * problem.period_multiple)
     if not turns < 2e5:
         raise ContinuationError(
             f"the linear part turns {turns:.1e} rad per period, too stiff for the starting integration; "
             "start from an orbit of a softer system"
         )
-    return max(_SAMPLES, 1 << int(np.ceil(np.log2(max(turns, 1.0)))))
+    return max(_FEW_SAMPLES if problem.large else _SAMPLES, 1 << int(np.ceil(np.log2(max(turns, 1.0)))))

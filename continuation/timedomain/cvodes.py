@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -51,6 +52,20 @@ class CVODES:
     def compile(self, model: System | DrivenModel) -> PeriodIntegrator:
         """Build the integrator of a model; use it for any parameter values."""
         return PeriodIntegrator(self, DrivenModel.of(model) if isinstance(model, System) else model)
+
+
+def cvodes_options(settings: CVODES) -> dict[str, Any]:
+    """Return the options of CasADi's interface; ``quad_err_con`` keeps every quadrature under error control."""
+    return {
+        "reltol": settings.rtol,
+        "abstol": settings.atol,
+        "quad_err_con": True,
+        "linear_multistep_method": "bdf" if settings.stiff else "adams",
+        "nonlinear_solver_iteration": "newton" if settings.stiff else "functional",
+        "disable_internal_warnings": True,
+        "show_eval_warnings": False,
+        "expand": True,
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,23 +125,15 @@ class PeriodIntegrator:
     True
     """
 
-    def __init__(self, settings: CVODES, model: DrivenModel) -> None:
+    def __init__(self, settings: CVODES, model: DrivenModel, phases: np.ndarray | None = None) -> None:
+        """Take the settings; and the increasing phases after 0 at which states are wanted, else equidistant ones."""
         self.settings, self.model = settings, model
         n, q = len(model.state_names), len(model.parameter_names)
         x, theta, p = ca.MX.sym("x", n), ca.MX.sym("theta"), ca.MX.sym("p", q)
         rate = ca.Function.deserialize(model.rate)
         dae = {"x": x, "t": theta, "p": p, "ode": rate(x, theta, p)}
-        options = {
-            "reltol": settings.rtol,
-            "abstol": settings.atol,
-            "linear_multistep_method": "bdf" if settings.stiff else "adams",
-            "nonlinear_solver_iteration": "newton" if settings.stiff else "functional",
-            "disable_internal_warnings": True,
-            "show_eval_warnings": False,
-            "expand": True,
-        }
-        grid = 2 * np.pi * np.arange(1, settings.samples + 1) / settings.samples
-        self._function = ca.integrator("period", "cvodes", dae, 0.0, list(grid), options)
+        grid = 2 * np.pi * np.arange(1, settings.samples + 1) / settings.samples if phases is None else phases
+        self._function = ca.integrator("period", "cvodes", dae, 0.0, list(grid), cvodes_options(settings))
 
     def period(self, x: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Integrate one excitation period from phase 0.

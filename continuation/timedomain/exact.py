@@ -3,44 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from continuation.errors import ContinuationError
+from continuation.errors import Chattering, ContinuationError, Runaway, TooManySteps
 from continuation.model.system import System
 from continuation.timedomain.contact_changes import first_change
+from continuation.timedomain.dormand_prince import CONTACT, ENDED, LARGEST_STEP, STUCK
 from continuation.timedomain.runge_kutta import step_functions
+from continuation.timedomain.trajectory import Run, Trajectory
 
-_LARGEST_STEP = np.pi / 4  # in phase: a stiffness harmonic must not slip through a step that meets a zero of the force
-_HALVINGS = 8  # of a step of the state, where its derivatives vary faster
-
-
-@dataclass(slots=True)
-class Trajectory:
-    """Record accepted steps; every step lies in one contact mode.
-
-    Attributes
-    ----------
-    phases : list of float, length k + 1
-        Phases in radians at the ends of the steps.
-    states : list of ndarray (n,), length k + 1
-        States there.
-    modes : list of tuple of int, length k
-        Index of the linear piece of every contact during each step.
-    changes : list of (phase, contact index, direction)
-        Contact changes; direction +1 when the argument increases.
-    """
-
-    phases: list[float]
-    states: list[np.ndarray]
-    modes: list[tuple[int, ...]] = field(default_factory=list)
-    changes: list[tuple[float, int, int]] = field(default_factory=list)
-
-    @property
-    def end(self) -> np.ndarray:
-        """Return the last state, shape (n,)."""
-        return self.states[-1]
+_FIRST_STEP = LARGEST_STEP / 8
+_RUNAWAY = 1e6  # growth of the state over an integration that counts as running away, once the steps are used up
 
 
 class ExactIntegrator:
@@ -50,12 +24,12 @@ class ExactIntegrator:
     ----------
     system : System
         Driven model, with or without contacts.
-    parameter : str
-        Parameter for which :meth:`transition` returns derivatives.
     rtol, atol : float
         Tolerances of the local error, relative and absolute in the unit of the states.
     steps : int
         Largest number of steps, rejected ones included, per excitation period.
+    machine_code : bool, optional
+        Compile at once (True), never (False), or once it pays (None).
 
     Notes
     -----
@@ -64,7 +38,7 @@ class ExactIntegrator:
     The step is then repeated up to the first root, which Newton's method polishes on the step itself. The force is
     continuous, so the state and its derivatives carry over a change as they are (the saltation matrix is the identity;
     Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, chapter 7).
-    A step of a 14-state gear costs about 40 microseconds, carrying the derivatives over it about 150.
+    A step of a 14-state gear costs about 20 microseconds, 3 as machine code.
 
     Examples
     --------
@@ -73,94 +47,133 @@ class ExactIntegrator:
     >>> x, v, theta, omega = (ca.SX.sym(k) for k in ("x", "v", "theta", "omega"))
     >>> free = System(name="free", states={"x": x, "v": v}, derivatives={"x": v, "v": -x}, phase=theta,
     ...               frequency="omega", parameters={"omega": (omega, 1.0)})
-    >>> run = ExactIntegrator(free, "omega").integrate([1.0, 0.0], free.parameter_vector())
+    >>> run = ExactIntegrator(free).integrate([1.0, 0.0], free.parameter_vector())
     >>> bool(abs(run.end - [1.0, 0.0]).max() < 1e-9)
     True
     """
 
     def __init__(
-        self, system: System, parameter: str, *, rtol: float = 1e-10, atol: float = 1e-12, steps: int = 2000
+        self,
+        system: System,
+        *,
+        rtol: float = 1e-10,
+        atol: float = 1e-12,
+        steps: int = 2000,
+        machine_code: bool | None = None,
     ) -> None:
-        self.system, self.parameter = system, parameter
-        self.rtol, self.atol, self.steps = rtol, atol, steps
-        self.functions = step_functions(system, parameter)
+        self.system, self.rtol, self.atol, self.steps, self.longest = system, rtol, atol, steps, LARGEST_STEP
+        self.functions = step_functions(system, machine_code)
         self._laws = [(np.array(c.slopes), c.intercepts, np.array(c.breakpoints)) for c in system.contacts]
 
-    def with_tolerance(self, rtol: float, atol: float) -> ExactIntegrator:
-        """Return the same integrator with other tolerances; functions are shared."""
+    def with_tolerance(self, rtol: float, atol: float, longest: float = LARGEST_STEP) -> ExactIntegrator:
+        """Return the same integrator with other tolerances and another longest step; functions are shared."""
         new = object.__new__(ExactIntegrator)
         new.__dict__.update(self.__dict__)
-        new.rtol, new.atol = rtol, atol
+        new.rtol, new.atol, new.longest = rtol, atol, longest
         return new
 
     def integrate(self, x: np.ndarray | list[float], p: np.ndarray, periods: int = 1) -> Trajectory:
-        """Integrate from phase 0 over excitation periods.
+        """Integrate from phase 0 over excitation periods; see :meth:`between`."""
+        return self.between(x, p, 0.0, 2 * np.pi * periods)
+
+    def between(
+        self, x: np.ndarray | list[float], p: np.ndarray, start: float, end: float, first: float = _FIRST_STEP
+    ) -> Trajectory:
+        """Integrate from one phase to another.
 
         Parameters
         ----------
         x : array (n,)
-            State at phase 0.
+            State at the start.
         p : array (q,)
             All parameters of the System in order.
-        periods : int
-            Number of excitation periods.
+        start, end : float
+            Phases in rad.
+        first : float
+            Length of the first step tried.
 
         Raises
         ------
-        ContinuationError
-            If the state leaves the finite numbers, or the steps do not suffice; it names phase and parameters.
+        Runaway, Chattering, TooManySteps
+            If the state leaves the finite numbers, contacts change again and again without an end, or the steps do
+            not suffice; the error names phase and parameters.
         """
         x = np.array(x, dtype=float)
-        run = Trajectory([0.0], [x])
-        arguments = self.functions.guard(x, 0.0, p, 0.0, 0.0)[0]  # they do not depend on the mode
-        modes = [int(c.mode(a)) for c, a in zip(self.system.contacts, arguments, strict=True)]
-        end, h = 2 * np.pi * periods, _LARGEST_STEP / 8
-        for _ in range(self.steps * periods):
-            left = end - run.phases[-1]
-            if left <= 1e-13 * end:
-                run.phases[-1] = end
-                return run
-            h = self._advance(run, modes, min(h, left), p)
-            if not h > 1e-13 * end:
+        run, h = Run(start, x, self.modes_at(x, start, p)), first
+        left = int(np.ceil(self.steps * max(1.0, (end - start) / (2 * np.pi))))
+        self.functions.count(int(8 * (end - start)))
+        constants = self._constants(run.pieces, p, end)
+        while left > 0:
+            table = self.functions.march(np.concatenate([run.x, [run.theta, h, 0.0]]), constants)[0].T
+            state = table[-1, -1]
+            left -= len(table) if state == 0 else int(np.argmax(table[:, -1] != 0)) + 1
+            phases = table[:, -3]
+            taken = phases > np.concatenate([[run.theta], phases[:-1]])
+            run.add(phases[taken], table[taken, :-3])
+            h = float(table[-1, -2])
+            if state == ENDED:
+                return run.done(start, x, h)
+            if state == CONTACT:
+                changes = len(run.changes)
+                h = self._advance(run, min(h, end - run.theta), p)
+                if end - run.theta <= 1e-13 * max(abs(end), 1.0):
+                    run.phases[-1][-1] = end
+                    return run.done(start, x, h)
+                if len(run.changes) > changes:
+                    constants = self._constants(run.pieces, p, end)
+            if state == STUCK or not h > 1e-14 * max(abs(end), 1.0):
                 break
-        raise self._failure(run, p)
+        raise self._failure(run, x, p)
 
-    def _advance(self, run: Trajectory, modes: list[int], h: float, p: np.ndarray) -> float:
-        """Try one step; record it when it is accurate, up to the first contact change; return the next length."""
-        x, theta = run.states[-1], run.phases[-1]
-        law = self._mode_law(modes)
-        x1, error, sampled = self.functions.step(x, theta, h, p, *law)
-        with np.errstate(all="ignore"):  # a state that runs away is rejected below
-            size = _error_norm(error / (self.atol + self.rtol * np.maximum(abs(x), abs(x1)))[:, None])
-        if not size < 1.0:  # also when it is not a number
-            return h * (max(0.9 * size**-0.125, 0.2) if np.isfinite(size) else 0.1)
-        proposed = min(h * min(5.0, 0.9 * size**-0.125 if size > 0 else 5.0), _LARGEST_STEP)
-        resolved, change = first_change(sampled, [b for _, _, b in self._laws], modes)
+    def modes_at(self, x: np.ndarray, theta: float, p: np.ndarray) -> list[int]:
+        """Return the linear piece of every contact at a state."""
+        if not self._laws:
+            return []
+        zeros = np.zeros(len(self._laws))
+        arguments = self.functions.guard(x, theta, p, zeros, zeros)[0]  # they do not depend on the mode
+        return [int(c.mode(a)) for c, a in zip(self.system.contacts, arguments, strict=True)]
+
+    def law(self, pieces: tuple[int, ...] | list[int] | np.ndarray) -> tuple[list[float], list[float]]:
+        """Return slopes (m,) and intercepts (m,) of a contact mode."""
+        chosen = [(s[j], c[j]) for (s, c, _), j in zip(self._laws, pieces, strict=True)]
+        return [s for s, _ in chosen], [c for _, c in chosen]
+
+    def breakpoints(self) -> list[np.ndarray]:
+        """Return the breakpoints of every contact."""
+        return [b for _, _, b in self._laws]
+
+    def _constants(self, pieces: list[int], p: np.ndarray, end: float) -> np.ndarray:
+        """Return the second argument of the march in a contact mode."""
+        slopes, intercepts = self.law(pieces)
+        edges = [np.concatenate([[-np.inf], b, [np.inf]]) for _, _, b in self._laws]
+        low, high = ([e[j + k] for e, j in zip(edges, pieces, strict=True)] for k in (0, 1))
+        return np.concatenate([p, slopes, intercepts, low, high, [end, self.longest, self.rtol, self.atol]])
+
+    def _advance(self, run: Run, h: float, p: np.ndarray) -> float:
+        """Try one step near a contact change; record it up to the first change; return the next length."""
+        law = self.law(run.pieces)
+        x1, error, sampled = self.functions.step(run.x, run.theta, h, p, *law)
+        size = _error_norm(error / (self.atol + self.rtol * np.maximum(abs(run.x), abs(x1)))[:, None])
+        proposed = min(h * min(5.0, 0.9 * size**-0.125 if size > 0 else 5.0), self.longest)
+        negligible = 0.01 * (self.atol + self.rtol)
+        resolved, change = first_change(sampled, self.breakpoints(), run.pieces, negligible)
         if not resolved:
             return h / 2
         if change is None:
-            _record(run, theta + h, x1, modes)
+            run.add(np.array([run.theta + h]), x1[None])
             return proposed
-        return self._land(run, modes, h, change, p, proposed)
+        return self._land(run, h, change, p, proposed)
 
-    def _land(
-        self,
-        run: Trajectory,
-        modes: list[int],
-        h: float,
-        change: tuple[float, int, int],
-        p: np.ndarray,
-        proposed: float,
-    ) -> float:
+    def _land(self, run: Run, h: float, change: tuple[float, int, int], p: np.ndarray, proposed: float) -> float:
         """Repeat the step up to the contact change and switch the mode there."""
         fraction, i, direction = change
-        x, theta, law = run.states[-1], run.phases[-1], self._mode_law(modes)
-        target = self._laws[i][2][modes[i] if direction > 0 else modes[i] - 1]
+        law = self.law(run.pieces)
+        target = self._laws[i][2][run.pieces[i] if direction > 0 else run.pieces[i] - 1]
         length = max(fraction, 0.0) * h
         if length > 0:
             for _ in range(4):
-                x1 = self.functions.step(x, theta, length, p, *law)[0]
-                value, rate = self.functions.guard(x1, theta + length, p, *law)
+                x1 = self.functions.step(run.x, run.theta, length, p, *law)[0]
+                value, rate = self.functions.guard(x1, run.theta + length, p, *law)
                 miss = value[i] - target
                 correction = miss / rate[i] if rate[i] * direction > 0 else np.inf
                 # Grazing: the rate vanishes, and an instant missed by d costs d times the miss, which is negligible.
@@ -169,66 +182,57 @@ class ExactIntegrator:
                 length -= correction
             if abs(miss) > 1e-7 * (1 + abs(target)):
                 return h / 2
-            _record(run, theta + length, x1, modes)
-        run.changes.append((run.phases[-1], i, direction))
-        modes[i] += direction
+            if run.theta + length > run.theta:
+                run.add(np.array([run.theta + length]), x1[None])
+        run.changes.append((run.theta, i, direction))
+        run.places.append(len(run.modes))
+        run.pieces[i] += direction
         return proposed
 
-    def _mode_law(self, modes: list[int] | tuple[int, ...]) -> tuple[list[float], list[float]]:
-        pieces = [(s[j], c[j]) for (s, c, _), j in zip(self._laws, modes, strict=True)]
-        return [s for s, _ in pieces], [c for _, c in pieces]
-
-    def transition(self, run: Trajectory, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Differentiate a trajectory along its own steps.
-
-        Returns
-        -------
-        monodromy : ndarray (n, n)
-            Derivative of the last state with respect to the first.
-        sensitivity : ndarray (n,)
-            Derivative of the last state with respect to the parameter.
-        trace : float
-            Integral of the trace of the Jacobian, the logarithm of the determinant by Liouville's formula.
-        """
-        n = len(run.end)
-        s, total = np.eye(n, n + 1), 0.0
-        for k, modes in enumerate(run.modes):
-            h = run.phases[k + 1] - run.phases[k]
-            s, trace = self._differentiate(run.states[k], run.phases[k], h, p, self._mode_law(modes), s)
-            total += trace
-        return s[:, :n], s[:, n], total
-
-    def _differentiate(
-        self, x: np.ndarray, theta: float, h: float, p: np.ndarray, law: tuple, s: np.ndarray, depth: int = 0
-    ) -> tuple[np.ndarray, float]:
-        """Carry the derivatives over a step, in halves where they vary faster than the state that sized the step."""
-        after, (fifth, third), trace = self.functions.transition(x, theta, h, p, *law, s)
-        error = np.divide(fifth, np.sqrt(fifth + 0.01 * third), out=np.zeros_like(fifth), where=fifth > 0)
-        scale = np.sqrt(np.maximum((s**2).sum(axis=0), (after**2).sum(axis=0)))
-        if depth == _HALVINGS or not np.any(error > self.rtol * scale):
-            return after, float(trace[0])
-        middle = self.functions.step(x, theta, h / 2, p, *law)[0]
-        s, first = self._differentiate(x, theta, h / 2, p, law, s, depth + 1)
-        s, second = self._differentiate(middle, theta + h / 2, h / 2, p, law, s, depth + 1)
-        return s, first + second
+    def laws_of(self, modes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return slopes (k, m) and intercepts (k, m) of the modes (k, m) of steps."""
+        if not self._laws:
+            return np.zeros((len(modes), 0)), np.zeros((len(modes), 0))
+        columns = [(s[j], c[j]) for (s, c, _), j in zip(self._laws, modes.T, strict=True)]
+        return np.stack([s for s, _ in columns], axis=1), np.stack([c for _, c in columns], axis=1)
 
     def sample(self, run: Trajectory, p: np.ndarray, phases: np.ndarray) -> np.ndarray:
-        """Evaluate a trajectory at increasing phases inside it, shape (len(phases), n), as accurately as its steps."""
+        """Evaluate a trajectory at phases inside it, shape (len(phases), n), as accurately as its steps."""
         at = np.clip(np.searchsorted(run.phases, phases, side="right") - 1, 0, len(run.modes) - 1)
-        rows = []
-        for k, phase in zip(at, phases, strict=True):
-            law = self._mode_law(run.modes[k])
-            rows.append(self.functions.step(run.states[k], run.phases[k], phase - run.phases[k], p, *law)[0])
-        return np.array(rows)
+        laws = [law[at] for law in self.laws_of(run.modes)]
+        h = np.asarray(phases, dtype=float) - run.phases[at]
+        return self.functions.advance(run.states[at], run.phases[at], h, np.tile(p, (len(at), 1)), *laws)[0][:, 0]
 
-    def _failure(self, run: Trajectory, p: np.ndarray) -> ContinuationError:
-        values = describe(dict(zip(self.system.parameter_names, p, strict=True)))
-        return ContinuationError(
-            f"event-exact integration of {self.system.name!r} stopped at phase {run.phases[-1]:.6g} after "
-            f"{len(run.modes)} accepted steps ({values}): the state runs away, the model is too stiff for an explicit "
-            f"method, or contacts chatter; check the model there, loosen rtol = {self.rtol:g}, or allow more than "
-            f"{self.steps} steps a period"
+    def interpolant(self, run: Trajectory, p: np.ndarray) -> np.ndarray:
+        """Return the coefficients (k, 8, n) of the interpolants of the steps of a trajectory."""
+        count = len(run.modes)
+        h = np.diff(run.phases)
+        laws = self.laws_of(run.modes)
+        return self.functions.dense(run.states[:-1], run.phases[:-1], h, np.tile(p, (count, 1)), *laws)[0]
+
+    def _failure(self, run: Run, x: np.ndarray, p: np.ndarray) -> ContinuationError:
+        values = dict(zip(self.system.parameter_names, p.tolist(), strict=True))
+        where = (
+            f"event-exact integration of {self.system.name!r} stopped at phase {run.theta:.6g} after "
+            f"{len(run.modes)} accepted steps ({describe(values)}): "
         )
+        with np.errstate(all="ignore"):
+            size, rate = abs(run.x).max(), self.functions.rate(run.x, run.theta, p, *self.law(run.pieces))[0]
+        if not np.all(np.isfinite(rate)) or size > _RUNAWAY * (1 + abs(x).max()):
+            text = f"the state runs away, its largest component is {size:.3g}; check the model or start elsewhere"
+            return Runaway(where + text, run.theta, values)
+        if 4 * len(run.changes) > len(run.modes) and len(run.changes) > 20:
+            text = (
+                f"contacts chatter, {len(run.changes)} contact changes so far; an argument stays at a breakpoint, "
+                "as with zero load: change the load, or use system.smoothed(width)"
+            )
+            return Chattering(where + text, run.theta, values)
+        text = (
+            f"{self.steps} steps a period do not suffice, the model is too stiff for an explicit method at rtol = "
+            f"{self.rtol:g}, or the state runs away (largest component {size:.3g}); allow more steps, loosen rtol, or "
+            "for a smooth System use Shooting(integrator=CVODES(stiff=True))"
+        )
+        return TooManySteps(where + text, run.theta, values)
 
 
 def describe(values: Mapping[str, float]) -> str:
@@ -238,12 +242,6 @@ def describe(values: Mapping[str, float]) -> str:
     'omega = 0.75, zeta = 0.05'
     """
     return ", ".join(f"{k} = {v:.10g}" for k, v in values.items())
-
-
-def _record(run: Trajectory, phase: float, x: np.ndarray, modes: list[int]) -> None:
-    run.phases.append(float(phase))
-    run.states.append(x)
-    run.modes.append(tuple(modes))
 
 
 def _error_norm(scaled: np.ndarray) -> float:

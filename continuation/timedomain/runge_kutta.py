@@ -1,103 +1,168 @@
-"""One step of the Dormand-Prince 8(5,3) method inside a contact mode, as CasADi functions of the excitation phase."""
+"""The functions of a step of one System, ready to be called: in CasADi's virtual machine or as machine code."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import casadi as ca
-import numpy as np
-from numpy.polynomial import chebyshev
-from scipy.integrate import DOP853
 
+from continuation.model.compiled import compiled_function
+from continuation.model.machine_code import NoMachineCode
 from continuation.model.system import System
+from continuation.timedomain import dormand_prince as dp
+from continuation.timedomain.kernels import Batch, Kernel
+from continuation.timedomain.machine_batch import MachineBatch, MachineTransition
 
-NODES = 13
-"""Chebyshev points inside a step at which the contact arguments are sampled."""
+__all__ = ["Kernel", "StepFunctions", "step_functions"]
 
-_EXPAND_UP_TO = 4
-"""States up to which the variational step is unrolled to scalar operations; beyond, matrix operations are kept."""
-
-
-class Kernel:
-    """Call a CasADi function through fixed NumPy buffers: a few microseconds instead of tens for small functions.
-
-    Examples
-    --------
-    >>> x = ca.SX.sym("x", 2)
-    >>> Kernel(ca.Function("f", [x], [2 * x, x[0] * x.T]))([1.0, 3.0])
-    (array([2., 6.]), array([[1., 3.]]))
-    """
-
-    def __init__(self, function: ca.Function) -> None:
-        symbols = function.mx_in()
-        dense = ca.Function(function.name(), symbols, [ca.densify(e) for e in function.call(symbols)])
-        same = all(function.sparsity_out(i).is_dense() for i in range(function.n_out()))
-        buffer: Any
-        buffer, self._evaluate = (function if same else dense).buffer()
-        self._buffer = buffer  # kept: it owns the memory that the evaluation reads
-        self._inputs = [np.zeros(_shape(function.size_in(i)), order="F") for i in range(function.n_in())]
-        self._outputs = [np.zeros(_shape(function.size_out(i)), order="F") for i in range(function.n_out())]
-        for i, array in enumerate(self._inputs):
-            self._buffer.set_arg(i, array.reshape(-1, order="F").data)
-        for i, array in enumerate(self._outputs):
-            self._buffer.set_res(i, array.reshape(-1, order="F").data)
-
-    def __call__(self, *values: np.ndarray | list[float] | float) -> tuple[np.ndarray, ...]:
-        """Return new arrays; column vectors are flat, scalars have shape (1,)."""
-        for array, value in zip(self._inputs, values, strict=True):
-            array[...] = value
-        self._evaluate()
-        return tuple(a.copy() for a in self._outputs)
+_COMPILING = 1.0, 1e-3  # seconds that compiling takes, and per operation of a step
+_STEPPING = 1.5e-8  # seconds per operation that a step with its derivatives takes in the virtual machine
 
 
-def _shape(size: tuple[int, int]) -> tuple[int, ...]:
-    return size if size[1] != 1 else size[:1]
-
-
-@dataclass(frozen=True, slots=True)
 class StepFunctions:
     """Hold the CasADi functions of one System; force = slope * argument + intercept in the current contact mode.
 
-    Every function takes ``x (n,), theta, p (q,), slopes (m,), intercepts (m,)``; a step takes its length in phase too.
+    Every function takes ``x (n,), theta, h, p (q,), slopes (m,), intercepts (m,)``, h the length in phase. They are
+    built when first used. With machine code None they are compiled as soon as so many steps were taken that it pays.
 
     Attributes
     ----------
-    step : Kernel
-        State after the step (n,), its 5th and 3rd order error estimates (n, 2), contact arguments (m, NODES) at the
-        Chebyshev points of the step.
-    transition : Kernel
-        Takes in addition S (n, n + 1), the derivatives of the state with respect to the initial state and the
-        continuation parameter; returns S after the step, the squared norms of its 5th and 3rd order error estimates
-        (2, n + 1) column by column, and the integral of the trace of the Jacobian over the step.
-    guard : Kernel
-        Contact arguments (m,) and their rates along the flow (m,).
+    machine_code : bool or None
+    note : str
+        What was compiled, or why nothing was.
     """
 
-    step: Kernel
-    transition: Kernel
-    guard: Kernel
+    def __init__(self, system: System, machine_code: bool | None) -> None:
+        self.machine_code, self.note = machine_code, "in CasADi's virtual machine"
+        self._steps, self._compile = 0, machine_code is True
+        m = self._contacts = len(system.contacts)
+        slopes, intercepts = ca.SX.sym("slopes", m), ca.SX.sym("intercepts", m)
+        force = slopes * system.arguments + intercepts if m else ca.SX(0, 1)
+        omega = system.p[system.parameter_names.index(str(system.frequency))]
+        rate, gains = system.derivative / omega, ca.jacobian(system.derivative, system.phi) / omega
+        if m:
+            rate, gains = ca.substitute([rate, gains], [system.phi], [force])
+        self._point = [system.x, system.theta, system.p, slopes, intercepts]
+        self._rate, self._gains, self._met = rate, gains, system.arguments
+        self._field = ca.Function("field", self._point, [rate])
+        self._arguments = ca.Function("arguments", self._point[:3], [system.arguments])
+
+    def count(self, steps: int) -> None:
+        """Count steps taken, and go over to machine code where that is left open and has begun to pay."""
+        self._steps += steps
+        if self.machine_code is None and not self._compile and self._steps > self._worth:
+            self._compile = True
+            for name in ("step", "march", "transition", "forcing", "advance", "dense"):
+                self.__dict__.pop(name, None)
+
+    @cached_property
+    def _worth(self) -> float:
+        """Number of steps that take as long in the virtual machine as compiling."""
+        operations = dp.step(self._field, self._arguments, self._contacts).n_nodes()
+        return (_COMPILING[0] + _COMPILING[1] * operations) / (_STEPPING * operations)
+
+    def _made(self, function: ca.Function) -> ca.Function:
+        if self._compile:
+            function, self.note = compiled_function(function)
+        return function
+
+    def _batch(self, function: ca.Function) -> Batch | MachineBatch:
+        if self._compile:
+            try:
+                return MachineBatch(function)
+            except NoMachineCode as reason:
+                self.note = str(reason)
+        return Batch(function)
+
+    @cached_property
+    def rate(self) -> Kernel:
+        """(x, theta, p, slopes, intercepts) -> dx/dphase (n,)."""
+        return Kernel(self._field)
+
+    @cached_property
+    def step(self) -> Kernel:
+        """State after the step (n,), 5th and 3rd order error estimates (n, 2), contact arguments (m, 13)."""
+        return Kernel(self._made(dp.step(self._field, self._arguments, self._contacts)))
+
+    @cached_property
+    def march(self) -> Kernel:
+        """Several steps with error control: see :func:`~continuation.timedomain.dormand_prince.march`."""
+        return Kernel(self._made(dp.march(dp.step(self._field, self._arguments, self._contacts), self._contacts)))
+
+    @cached_property
+    def guard(self) -> Kernel:
+        """(x, theta, p, slopes, intercepts) -> contact arguments (m,) and their rates along the flow (m,)."""
+        return Kernel(ca.Function("guard", self._point, [self._met, self._along()]))
+
+    def _along(self) -> ca.SX:
+        """Return the rates of the contact arguments along the flow, per phase."""
+        return ca.jtimes(self._met, self._point[0], self._rate) + ca.jacobian(self._met, self._point[1])
+
+    @cached_property
+    def transition(self) -> Batch | MachineBatch:
+        """Derivative (n, n) of the state after a step by that before it, with what tells its accuracy.
+
+        Also the squared norms (2, n) of the 5th and 3rd order error estimates of its columns, the integral of the trace
+        of the Jacobian, and the contact arguments at the 12 stages (m, 12).
+        """
+        jacobian = ca.Function("jacobian", self._point, [ca.jacobian(self._rate, self._point[0])])
+        stages = dp.jacobians(self._field, jacobian, self._arguments, self._contacts)
+        if self._compile:
+            try:
+                return MachineTransition(stages)
+            except NoMachineCode as reason:
+                self.note = str(reason)
+        return Batch(dp.transition(stages, self._field, self._contacts))
+
+    @cached_property
+    def forcing(self) -> Batch | MachineBatch:
+        """Derivative (n,) of the state after a step in a direction d (q,) of the parameters, given as last argument."""
+        _, _, _, p, _, _ = given = dp.symbols(self._field, self._contacts, ca.SX)
+        d = ca.SX.sym("d", p.numel())
+        return self._batch(ca.Function("forcing", [*given, d], [ca.jtimes(dp.stages(self._field, given)[1], p, d)]))
+
+    @cached_property
+    def advance(self) -> Batch | MachineBatch:
+        """State after a step (n,)."""
+        given = dp.symbols(self._field, self._contacts, ca.SX)
+        return self._batch(ca.Function("advance", list(given), [dp.stages(self._field, given)[1]]))
+
+    @cached_property
+    def dense(self) -> Batch | MachineBatch:
+        """Coefficients (n, 8) of the interpolant of a step; the last removes its error in the middle."""
+        return self._batch(dp.dense(self._field, self._contacts))
+
+    @cached_property
+    def second(self) -> Kernel:
+        """Takes xi, a, b (n,) in addition: gradients of ``a . x1 + b . (dx1/dx xi)`` in x (n,), xi (n,) and p (q,)."""
+        return Kernel(dp.second(self._field, self._contacts))
+
+    @cached_property
+    def jump(self) -> Kernel:
+        """(x, theta, p, slopes, intercepts, xi, b) -> what the second derivative needs at contact changes.
+
+        Of every contact: ``b . gain * (da/dx . xi)`` (m,), rate of the argument a (m,), da/dx (m, n), da/dp (m, q).
+        """
+        x, _, p = self._point[:3]
+        xi, b = ca.SX.sym("xi", x.numel()), ca.SX.sym("b", x.numel())
+        strength = (self._gains.T @ b) * ca.jtimes(self._met, x, xi)
+        slopes = [ca.jacobian(self._met, v) for v in (x, p)]
+        return Kernel(ca.Function("jump", [*self._point, xi, b], [strength, self._along(), *slopes]))
 
 
-def step_functions(system: System, parameter: str) -> StepFunctions:
-    """Build the functions of a driven System; the variational step differentiates exactly what the step computes.
+_kept: WeakKeyDictionary[System, dict[bool | None, StepFunctions]] = WeakKeyDictionary()
+
+
+def step_functions(system: System, machine_code: bool | None = None) -> StepFunctions:
+    """Return the functions of a driven System, the same ones whenever it is asked for again.
 
     Parameters
     ----------
     system : System
         Driven model; its frequency turns time into phase, so that the interval does not depend on it.
-    parameter : str
-        Parameter of the last column of S.
-
-    Raises
-    ------
-    ValueError
-        If the parameter is unknown.
-
-    Notes
-    -----
-    Tableau of Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.10. Within a
-    mode the law is linear, so that no derivative is ever taken across a contact change.
+    machine_code : bool, optional
+        Compile at once (True), never (False), or when it pays (None).
 
     Examples
     --------
@@ -106,94 +171,11 @@ def step_functions(system: System, parameter: str) -> StepFunctions:
     >>> x, theta, omega = (ca.SX.sym(k) for k in ("x", "theta", "omega"))
     >>> decay = System(name="decay", states={"x": x}, derivatives={"x": -x}, phase=theta, frequency="omega",
     ...                parameters={"omega": (omega, 1.0)})
-    >>> x1, *_ = step_functions(decay, "omega").step([1.0], 0.0, 0.1, [1.0], [], [])
+    >>> x1, *_ = step_functions(decay).step([1.0], 0.0, 0.1, [1.0], [], [])
     >>> bool(abs(x1[0] - 2.718281828459045**-0.1) < 1e-14)
     True
     """
-    system.check_parameter(parameter)
-    m = len(system.contacts)
-    slopes, intercepts = ca.SX.sym("slopes", m), ca.SX.sym("intercepts", m)
-    force = slopes * system.arguments + intercepts if m else ca.SX(0, 1)
-    omega = system.p[system.parameter_names.index(str(system.frequency))]
-    rate = (ca.substitute(system.derivative, system.phi, force) if m else system.derivative) / omega
-    p_c = system.p[system.parameter_names.index(parameter)]
-    point = [system.x, system.theta, system.p, slopes, intercepts]
-    field = ca.Function("field", point, [rate])
-    jacobian = ca.jacobian(rate, system.x)
-    linear = ca.Function("linear", point, [jacobian, ca.jacobian(rate, p_c), ca.trace(jacobian)])
-    arguments = ca.Function("arguments", [system.x, system.theta, system.p], [system.arguments])
-    along = ca.jtimes(system.arguments, system.x, rate) + ca.jacobian(system.arguments, system.theta)
-    guard = ca.Function("guard", point, [system.arguments, along])
-    return StepFunctions(Kernel(_step(field, arguments, m)), Kernel(_transition(field, linear, m)), Kernel(guard))
-
-
-def _symbols(field: ca.Function, m: int, kind: Any) -> tuple:
-    n, q = field.numel_in(0), field.numel_in(2)
-    return kind.sym("x", n), kind.sym("theta"), kind.sym("h"), kind.sym("p", q), kind.sym("s", m), kind.sym("c", m)
-
-
-def _step(field: ca.Function, arguments: ca.Function, m: int) -> ca.Function:
-    x, theta, h, p, s, c = given = _symbols(field, m, ca.SX)
-    k: list[ca.SX] = []
-    for a, fraction in zip(DOP853.A, DOP853.C, strict=True):
-        k.append(field(x + h * _combine(a, k), theta + fraction * h, p, s, c))
-    x1 = x + h * _combine(DOP853.B, k)
-    k.append(field(x1, theta + h, p, s, c))
-    error = ca.horzcat(h * _combine(DOP853.E5, k), h * _combine(DOP853.E3, k))
-    sampled = ca.SX(0, NODES)
-    if m:
-        interpolant = _interpolant(field, given, x1, k)
-        at = [arguments(x + interpolant @ w, theta + r * h, p) for r, w in zip(*_dense_weights(), strict=True)]
-        sampled = ca.horzcat(*at)
-    return ca.Function("step", list(given), [x1, error, sampled])
-
-
-def _interpolant(field: ca.Function, given: tuple, x1: ca.SX, k: list[ca.SX]) -> ca.SX:
-    """Return the coefficients (n, 7) of the 7th order interpolant, from three more stages."""
-    x, theta, h, p, s, c = given
-    stages = list(k)
-    for a, fraction in zip(DOP853.A_EXTRA, DOP853.C_EXTRA, strict=True):
-        stages.append(field(x + h * _combine(a, stages), theta + fraction * h, p, s, c))
-    first = x1 - x
-    low = [first, h * k[0] - first, 2 * first - h * (k[-1] + k[0])]
-    return ca.horzcat(*low, *(h * _combine(d, stages) for d in DOP853.D))
-
-
-def _dense_weights() -> tuple[np.ndarray, list[np.ndarray]]:
-    """Return the Chebyshev points in [0, 1] and at each the weights (7,) of the interpolant's coefficients."""
-    fractions = (chebyshev.chebpts2(NODES) + 1) / 2
-    weights = [np.cumprod([r if i % 2 == 0 else 1 - r for i in range(7)]) for r in fractions]
-    return fractions, weights
-
-
-def _transition(field: ca.Function, linear: ca.Function, m: int) -> ca.Function:
-    given = _symbols(field, m, ca.MX)
-    x, theta, h, p, s, c = given
-    n = x.numel()
-    before = ca.MX.sym("S", n, n + 1)
-    k: list[ca.MX] = []
-    dk: list[ca.MX] = []
-
-    def stage(weights: np.ndarray, fraction: float) -> ca.MX:
-        state, at = x + h * _combine(weights, k), theta + fraction * h
-        jacobian, forcing, divergence = linear(state, at, p, s, c)
-        dk.append(jacobian @ (before + h * _combine(weights, dk)) + ca.horzcat(ca.MX(n, n), forcing))
-        k.append(field(state, at, p, s, c))
-        return divergence
-
-    divergences = [stage(a, fraction) for a, fraction in zip(DOP853.A, DOP853.C, strict=True)]
-    trace = h * _combine(DOP853.B, divergences)
-    after = before + h * _combine(DOP853.B, dk)
-    stage(DOP853.B, 1.0)
-    squares = ca.vertcat(*(ca.sum1((h * _combine(e, dk)) ** 2) for e in (DOP853.E5, DOP853.E3)))
-    function = ca.Function("transition", [*given, before], [after, squares, trace])
-    return function.expand() if n <= _EXPAND_UP_TO else function
-
-
-def _combine(weights: np.ndarray, stages: list) -> ca.SX | ca.MX | float:
-    """Return the weighted sum of the stages so far; weights beyond them belong to later stages and are zero."""
-    total: ca.SX | ca.MX | float = 0.0
-    for w, stage in zip(weights, stages, strict=False):
-        if w != 0.0:
-            total = total + float(w) * stage
-    return total
+    known = _kept.setdefault(system, {})
+    if machine_code not in known:
+        known[machine_code] = StepFunctions(system, machine_code)
+    return known[machine_code]

@@ -9,6 +9,7 @@ import pytest
 
 from continuation import CVODES, HarmonicBalance, System
 from continuation.timedomain.exact import ExactIntegrator
+from continuation.timedomain.variational import tangents
 from sbg_casadi import Dimensionless, case_names, gear_system, load_pair, static_state
 from sbg_casadi.equations import eight_coordinate_system, relative_state, transmission_error
 from sbg_casadi.physical import Physical
@@ -162,7 +163,7 @@ def monodromy(system: System, d: Dimensionless, ratio: float) -> np.ndarray:
     """Return the transition matrix over one period from a state that leaves contact."""
     start, p = static_state(d), system.parameter_vector({"frequency_ratio": ratio})
     start[7] = -1.0
-    integrator = ExactIntegrator(system, "frequency_ratio")
+    integrator = ExactIntegrator(system)
     run = integrator.integrate(start, p)
     assert run.changes, "no contact change"
-    return integrator.transition(run, p)[0]
+    return tangents(integrator, [run], p).whole(0)

@@ -14,7 +14,6 @@ from continuation import (
     NoConvergence,
     SingularLinearPart,
     System,
-    UnsupportedModel,
     trace,
 )
 from sbg_casadi import gear_system, static_state
@@ -318,10 +317,12 @@ def test_unknown_names_list_the_nearest():
 
 
 def test_other_misuse():
-    x = ca.SX.sym("x")
-    decay = System(name="decay", states={"x": x}, derivatives={"x": -x}, parameters={})
-    with pytest.raises(UnsupportedModel, match="autonomous"):
+    x, k = ca.SX.sym("x"), ca.SX.sym("k")
+    decay = System(name="decay", states={"x": x}, derivatives={"x": -k * x}, parameters={"k": (k, 1.0)})
+    with pytest.raises(ValueError, match="has no parameter 'x'"):
         METHOD.discretise(decay, "x")
+    with pytest.raises(NoConvergence, match="settles on an equilibrium"):
+        METHOD.discretise(decay, "k").guess(k=1.0)
     problem = METHOD.discretise(rs.duffing(), "omega")
     for value in (0.0, -1.0):
         with pytest.raises(ValueError, match="expected a positive number"):

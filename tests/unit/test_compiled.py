@@ -6,7 +6,7 @@ import pytest
 from reference_systems import backlash
 
 from continuation import CVODES, sweep
-from continuation.model import compiled
+from continuation.model import compiled, machine_code
 from continuation.model.compiled import compiled_march, find_compiler
 
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler here")
@@ -43,7 +43,7 @@ def test_without_a_compiler_it_says_so(monkeypatch):
 
 def test_a_compiler_that_fails_is_named():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "find_compiler", lambda: "/bin/false")
+        patch.setattr(machine_code, "find_compiler", lambda: "/bin/false")
         path, note = compiled_march(backlash(), 0.5)
     assert path == ""
     assert "/bin/false failed" in note

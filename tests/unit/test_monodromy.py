@@ -13,8 +13,8 @@ from scipy.integrate import solve_ivp
 from continuation import Contact, HarmonicBalance, System
 from continuation.orbits.contact_series import evaluate
 from continuation.orbits.floquet import distance, verdict
-from continuation.orbits.monodromy import monodromy, multipliers
-from continuation.orbits.spectrum import pack
+from continuation.orbits.monodromy import monodromy, multipliers, transition_matrices
+from continuation.orbits.spectrum import pack, unpack
 
 
 def by_scipy(problem, Y, p, edges):
@@ -171,6 +171,21 @@ def test_defective_linear_part():
     problem = HarmonicBalance().discretise(system, "omega")
     M = problem.monodromies([(pack(np.array([[0.0], [0.5]], dtype=complex)), 2.0)])[0]
     assert pytest.approx(np.array([[1.0, np.pi], [0.0, 1.0]]), abs=1e-12) == M
+
+
+@pytest.mark.parametrize("name", ["backlash", "two contacts", "duffing", "full form"])
+def test_pieces_multiply_to_the_matrix_and_end_at_the_contact_changes(name):
+    problem = HarmonicBalance().discretise(CASES[name](), "omega")
+    u = pack(random_wave(4, 5, problem.ports.outputs, size=0.5))
+    flow = monodromy(problem, [(u, 0.7)])
+    pieces = transition_matrices(problem, u, 0.7)
+    product = np.linalg.multi_dot(pieces[::-1]) if len(pieces) > 1 else pieces[0]
+    mu = multipliers(flow.matrices)[0]
+    assert distance(mu, multipliers(product[None])[0]).max() < 1e-12 * max(1.0, np.abs(mu[0]))
+    assert len(flow.patterns[0]) == len(problem.system.contacts)
+    changes = np.sort(np.concatenate([p.phases for p in flow.patterns[0]] + [[0.0, 2 * np.pi]]))
+    edges = contact_edges(problem, unpack(u, problem.ports.outputs), problem.vector(0.7))
+    assert changes == pytest.approx(np.array(edges), abs=1e-9)
 
 
 def test_multipliers_are_sorted_by_modulus():

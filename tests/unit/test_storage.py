@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,10 @@ def same_orbit(a: Orbit, b: Orbit) -> None:
             assert x.dtype == y.dtype
             assert x.shape == y.shape
             assert x.tobytes() == y.tobytes(), field.name  # also the sign of zero and the bits of NaN
+        elif field.name == "contacts":
+            assert list(x) == list(y)
+            for one, other in zip(x.values(), y.values(), strict=True):
+                assert [(v.dtype, v.tolist()) for v in one] == [(v.dtype, v.tolist()) for v in other]
         else:
             assert x == y, field.name
             assert type(x) is type(y), field.name
@@ -65,6 +70,46 @@ def test_a_branch_without_special_points_and_with_all_kinds_of_them(tmp_path: Pa
     full = dataclasses.replace(bare, special_points=(guessed, *points[1:]), unresolved=("x" * 200,) * 1000)
     save_branch(full, tmp_path / "b.nc")
     same_branch(full, load_branch(tmp_path / "b.nc"))
+
+
+def with_contacts(changes: Sequence[int]) -> Branch:
+    """A branch with two contacts, one of which never changes, the other as often as told, orbit by orbit."""
+    branch = folded_branch()
+    orbits = tuple(
+        dataclasses.replace(
+            orbit,
+            contacts={
+                "mesh": (np.linspace(0.1, 6.0, count), np.arange(count + 1) % 3),
+                "stop": (np.zeros(0), np.array([1])),
+            },
+            second_opinion=np.array([1e-12, np.nan]),
+        )
+        for orbit, count in zip((*branch.orbits, branch.special_points[0].orbit), changes, strict=True)
+    )
+    point = dataclasses.replace(branch.special_points[0], orbit=orbits[-1])
+    return dataclasses.replace(branch, orbits=orbits[:-1], special_points=(point,))
+
+
+@pytest.mark.parametrize("changes", [(2, 0, 4, 6, 2), (0, 0, 0, 0, 0), (0, 0, 0, 0, 8)])
+def test_contact_patterns_of_any_length_come_back(tmp_path: Path, changes: tuple[int, ...]) -> None:
+    branch = with_contacts(changes)
+    branch.save(tmp_path / "b.nc")
+    same_branch(branch, Branch.load(tmp_path / "b.nc"))
+
+
+def test_a_file_of_an_earlier_version_still_loads(tmp_path: Path) -> None:
+    branch = with_contacts((2, 0, 4, 6, 2))
+    branch.save(tmp_path / "b.nc")
+    with xr.open_dataset(tmp_path / "b.nc", engine="h5netcdf") as stored:
+        data = stored.load()
+    later = [v for v in data.variables if "contact" in str(v) or "second_opinion" in str(v)]
+    assert len(later) == 9
+    data.drop_vars(later).to_netcdf(tmp_path / "old.nc", engine="h5netcdf")
+    loaded = Branch.load(tmp_path / "old.nc")
+    for before, after in zip(branch.orbits, loaded.orbits, strict=True):
+        assert after.contacts == {}
+        assert np.isnan(after.second_opinion).all()
+        same_orbit(dataclasses.replace(before, contacts={}, second_opinion=np.nan), after)
 
 
 numbers = st.floats(allow_nan=False, width=64)

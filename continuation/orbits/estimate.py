@@ -1,0 +1,131 @@
+"""First-order error of a harmonic-balance point: what the harmonics left out would add, and do to those kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from continuation.branches.newton import size_of
+from continuation.orbits.spectrum import pack, unpack
+
+_FOLD = 100.0  # ratio of the error at fixed parameter to the shortest way back that tells a fold is close
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """First-order error of a point (u, p): what the harmonics left out would add and change.
+
+    ``step`` (twice the harmonics or more), ``dp`` and, for an autonomous System, ``dfrequency`` (relative) are the
+    shortest way back to the branch, ``shortest`` its size in the waveform; ``error`` is twice the error at fixed
+    parameter, or twice ``shortest`` next to a fold, where the first is no measure, plus what the stated error of a
+    fitted receptance may change. ``port_load`` (H+1, m) is what the ports load the states with.
+    """
+
+    step: np.ndarray
+    dp: float
+    dfrequency: float
+    shortest: float
+    error: float
+    port_load: np.ndarray
+
+
+def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
+    """Return the estimate of a point (u, p) of a HarmonicBalanceProblem; cost about a Newton step."""
+    k = problem.ports.outputs
+    H = (len(u) // k - 1) // 2
+    tail, low, load = _left_out(problem, u, p)
+    across = through_balance(problem, u, p, pack(low))
+    unit = problem.parameter_scale(p)
+    x, y = across[: len(u), 0], across[: len(u), 1] * unit
+    # shortest change of (u, p) instead of the one at fixed p, so that it stays finite at folds
+    dp = float(x @ y) / (float(y @ y) + size_of(u) ** 2)
+    tail[: H + 1] = unpack(x, k)
+    fixed = waveform_size(pack(tail), k)
+    tail[: H + 1] = unpack(x - dp * y, k)
+    step = pack(tail)
+    shortest = waveform_size(step, k)
+    error = fixed if fixed < _FOLD * shortest else shortest
+    turn = float(across[-1, 0] - dp * unit * across[-1, 1]) if problem.free else 0.0
+    return Estimate(step, dp * unit, turn, shortest, 2 * error + _of_receptance(problem, u, p, load), load)
+
+
+def _left_out(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the harmonics left out (n, k), what they add to the balance of those kept (H+1, k), and the port load."""
+    k = problem.ports.outputs
+    Y = unpack(u, k)
+    H = len(Y) - 1
+    n = max(2 * len(Y), problem.forced(p) + 1)  # forcing beyond twice the harmonics counts as left out, too
+    longer = np.zeros((n, k), dtype=complex)
+    longer[: H + 1] = Y
+    force = problem.forces(longer, problem.vector(p), n - 1, n + H)
+    R, transfer, V, _ = problem.balance(longer, force.W, p)
+    stiffness = problem.receptance(p).stiffness(np.arange(n))
+    middle = len(force.slope) // 2
+    tail = np.zeros_like(longer)
+    own = np.eye(k) - product(transfer[H + 1 :], force.slope[middle] + stiffness[H + 1 :])
+    tail[H + 1 :] = -R[H + 1 :] / own[:, 0] if k == 1 else -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
+    # what the tail does to the harmonics kept: the port force it adds, through the linearised balance
+    added = _times_waveform(force.slope, tail)[: H + 1]
+    return tail, product(transfer[: H + 1], added[..., None])[..., 0], V[: H + 1]
+
+
+def _times_waveform(slope: np.ndarray, tail: np.ndarray) -> np.ndarray:
+    """Return harmonics 0..n-1 of slope (2L+1, m, k, two-sided) times a waveform (n, k); right for orders <= L - n."""
+    n, middle = len(tail), len(slope) // 2
+    two_sided = np.concatenate([tail[:0:-1].conj(), tail])
+    size = 1 << (len(slope) + len(two_sided) - 1).bit_length()
+    spectra = np.fft.fft(slope, size, axis=0), np.fft.fft(two_sided, size, axis=0)
+    full = np.fft.ifft(np.einsum("fmk,fk->fm", *spectra), axis=0)
+    return full[middle + n - 1 : middle + 2 * n - 1]
+
+
+def through_balance(problem: Any, u: np.ndarray, p: float, low: np.ndarray) -> np.ndarray:
+    """Solve the linearised balance for the change (N or N+1, 2) that ``low`` and the parameter make.
+
+    With a free frequency the matrix has its column and the row that keeps the phase; the last row of the result is
+    then the relative change of the frequency.
+    """
+    matrix, Fp = _balance_matrix(problem, u, p)
+    problem.factorisations += 1
+    return np.linalg.solve(matrix, np.stack([np.append(low, np.zeros(len(Fp) - len(low))), Fp], axis=1))
+
+
+def _balance_matrix(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrix of the linearised balance, bordered where the frequency is free, and its parameter column."""
+    J, Fp = problem.linearised(u, p)
+    if not problem.free:
+        return J, Fp
+    n = len(u)
+    direction = problem.phase_direction(u, p)
+    matrix = np.zeros((n + 1, n + 1))
+    matrix[:n, :n], matrix[n, :n] = J, direction / size_of(direction)
+    matrix[:n, n] = problem.parameter_derivative(u, p, problem.free) * problem.values[problem.free]
+    return matrix, np.append(Fp, 0.0)
+
+
+def _of_receptance(problem: Any, u: np.ndarray, p: float, load: np.ndarray) -> float:
+    """Return a bound of what the stated error of a fitted receptance changes in the waveform; 0 for an exact one."""
+    r = problem.receptance(p)
+    if not r.error:
+        return 0.0
+    driven = problem.driven(p, len(load) - 1)
+    forcing = np.zeros((len(load) - 1, driven.shape[1]), dtype=complex)
+    forcing[: len(driven) - 1] = driven[1:]
+    doubt = r.doubt(1j * np.arange(1, len(load)) * problem.frequency(p), load[1:], forcing)
+    matrix, Fp = _balance_matrix(problem, u, p)
+    extended = np.column_stack([matrix, Fp * problem.parameter_scale(p)])  # the way back may move the parameter, too
+    least = float(np.linalg.svd(extended, compute_uv=False)[-1])
+    return float(np.sqrt(2 * len(u)) * np.linalg.norm(np.sqrt(2) * doubt) / max(least, 1e-300))
+
+
+def waveform_size(u: np.ndarray, k: int) -> float:
+    """Return a bound of the waveform of a packed spectrum: the sum of its amplitudes."""
+    Y = np.abs(unpack(u, k)).sum(axis=1)
+    return float(Y[0] + 2 * Y[1:].sum())
+
+
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Multiply stacks of small matrices; one by one, that is elementwise, for a single port."""
+    return a * b if a.shape[-2:] == b.shape[-2:] == (1, 1) else a @ b

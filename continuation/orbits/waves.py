@@ -1,0 +1,115 @@
+"""Port slopes along several orbits at once, piece by piece between contact changes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from continuation.orbits import contact_series as series
+from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
+from continuation.orbits.spectrum import unpack
+
+
+class Waves:
+    """Port slopes along several orbits at once; ``owner`` tells which orbit a piece belongs to."""
+
+    def __init__(self, problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, float]]) -> None:
+        self.problem, self.vectors = problem, [problem.vector(p) for _, p in orbits]
+        ports = problem.ports
+        spectra = [unpack(u, ports.outputs) for u, _ in orbits]
+        self.Y = stack(spectra) if ports.smooth else np.zeros((len(orbits), 1, ports.outputs))
+        self.patterns, self.gains, self.d = [], [], []
+        for i, contact in enumerate(problem.system.contacts):
+            arguments = [problem.forces.argument(i, Y, v) for Y, v in zip(spectra, self.vectors, strict=True)]
+            for argument, Y, v in zip(arguments, spectra, self.vectors, strict=True):
+                problem.forces.check_rest(i, argument, Y, v)
+            self.patterns.append(_padded(series.find_patterns(stack(arguments), contact)))
+            self.gains.append(stack([ports.forcing(v).gain[i].T for v in self.vectors]))
+            self.d.append(np.array([ports.linear(v).d[i] for v in self.vectors]))
+
+    def pieces(self, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Starts, lengths and owners of pieces that end at contact changes and are at most ``longest`` (N,) long."""
+        tables = [phases for phases, _ in self.patterns]
+        ends = np.tile([0.0, 2 * np.pi], (len(longest), 1))
+        edges = np.sort(np.minimum(np.concatenate([ends, *tables], axis=1), 2 * np.pi), axis=1)
+        gaps = np.diff(edges, axis=1)
+        counts = np.ceil(gaps / longest[:, None]).astype(int)  # none for an empty gap
+        flat = counts.ravel()
+        size = np.repeat(np.divide(gaps, counts, out=np.zeros_like(gaps), where=counts > 0).ravel(), flat)
+        order = np.arange(flat.sum()) - np.repeat(np.cumsum(flat) - flat, flat)
+        owner = np.repeat(np.repeat(np.arange(len(longest)), gaps.shape[1]), flat)
+        return np.repeat(edges[:, :-1].ravel(), flat) + order * size, size, owner
+
+    def used(self) -> list[tuple[series.ContactPattern, ...]]:
+        """Contact changes that the pieces end at, of every orbit one pattern per contact."""
+        return [
+            tuple(
+                series.ContactPattern(phases[i][np.isfinite(phases[i])], modes[i, : np.isfinite(phases[i]).sum() + 1])
+                for phases, modes in self.patterns
+            )
+            for i in range(len(self.vectors))
+        ]
+
+    def at(self, phases: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """Port slope w' (P, q, m, k) at phases (P, q); each row of phases lies inside one contact mode."""
+        problem = self.problem
+        ports, n = problem.ports, problem.period_multiple
+        slope = np.zeros((*phases.shape, ports.inputs, ports.outputs))
+        middle = phases.mean(axis=1)
+        found = []
+        for contact, patterns, gains, d in zip(problem.system.contacts, self.patterns, self.gains, self.d, strict=True):
+            changes, modes = patterns
+            mode = modes[owner, np.sum(changes[owner] < middle[:, None], axis=1)]
+            found.append(mode)
+            gain = _series(gains, owner, phases * n)
+            rigid = np.array(contact.slopes)[mode][:, None, None]
+            slope += (rigid * gain)[..., None] * d[owner][:, None, None, :]
+        if ports.smooth:
+            y = _series(self.Y, owner, phases).reshape(-1, ports.outputs).T
+            theta = (phases * n).ravel()
+            if all(np.array_equal(v, self.vectors[0]) for v in self.vectors):
+                vectors: np.ndarray = self.vectors[0]
+            else:
+                vectors = np.repeat(np.array(self.vectors)[owner], phases.shape[1], axis=0).T
+            inside = np.repeat([found[i] for i in ports.general], phases.shape[1], axis=1) if ports.general else None
+            tangent = ports.law(y, theta, vectors, inside)[1]
+            slope += tangent.transpose(2, 0, 1).reshape(slope.shape)
+        return slope
+
+
+def stack(arrays: list[np.ndarray]) -> np.ndarray:
+    """Stack arrays whose first axes differ in length, padded with zeros."""
+    longest = max(len(a) for a in arrays)
+    out = np.zeros((len(arrays), longest, *arrays[0].shape[1:]), dtype=complex)
+    for row, a in zip(out, arrays, strict=True):
+        row[: len(a)] = a
+    return out
+
+
+def _padded(patterns: list[series.ContactPattern]) -> tuple[np.ndarray, np.ndarray]:
+    """Return phases (N, r) and modes (N, r + 1) of patterns as tables, with changes at infinity as filling."""
+    longest = max(len(p.phases) for p in patterns)
+    phases = np.full((len(patterns), longest), np.inf)
+    modes = np.zeros((len(patterns), longest + 1), dtype=int)
+    for i, p in enumerate(patterns):
+        phases[i, : len(p.phases)], modes[i, : len(p.modes)] = p.phases, p.modes
+    return phases, modes
+
+
+def _series(spectra: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Evaluate half spectra (N, K+1, c) of the owners at phases (P, q); returns (P, q, c)."""
+    k = np.arange(spectra.shape[1])
+    scaled = spectra * np.where(k == 0, 1.0, 2.0)[:, None]
+    first = np.exp(1j * phases)
+    if len(k) <= 8:  # few harmonics: powers by multiplication
+        out = np.zeros((*phases.shape, spectra.shape[2]))
+        power = np.ones_like(first)
+        for order in k:
+            out += (power[..., None] * scaled[owner, order][:, None, :]).real
+            power = power * first
+        return out
+    out = np.empty((*phases.shape, spectra.shape[2]))
+    for start in range(0, len(owner), 512):  # bounds the memory of the exponentials
+        rows = slice(start, start + 512)
+        waves = np.exp(1j * phases[rows, :, None] * k)
+        out[rows] = (waves @ scaled[owner[rows]]).real
+    return out

@@ -1,0 +1,86 @@
+"""One interface to all integrators: the same trajectory, contact changes and outputs, driven or autonomous."""
+
+import numpy as np
+import pytest
+from reference_systems import backlash, duffing, symbols
+
+from continuation import CVODES, Contact, ContinuationError, System
+from continuation.errors import IntegrationFailed
+from continuation.timedomain.fixed_step import FixedStep
+from continuation.timedomain.simulate import EventExact, simulate
+
+HIGH = np.array([0.8338430125, 0.1640787518])
+INTEGRATORS = (CVODES(rtol=1e-11, atol=1e-13), EventExact(), FixedStep(256, 8))
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+@pytest.mark.parametrize("span", [2, 2.3])
+def test_the_high_orbit_of_the_backlash_oscillator(integrator, span):
+    run = simulate(backlash(), HIGH, span, integrator=integrator, omega=0.75)
+    assert run.phases[-1] == pytest.approx(2 * np.pi * span)
+    assert run.time[-1] == pytest.approx(2 * np.pi * span / 0.75)
+    assert abs(run.states[64] - HIGH).max() < 2e-8  # after one period
+    assert abs(run.states[:40] - run.states[64:104]).max() < 2e-8
+    force = run.outputs["contact force"]
+    assert abs(force - np.maximum(run.states[:, 0] - 1, 0)).max() < 1e-15
+    rows = run.intervals()
+    open_ = (rows[:, 1] - rows[:, 0])[rows[:, 2] == 1]
+    assert open_[1] / (2 * np.pi) == pytest.approx(0.54175, abs=3e-6)
+    assert rows[1:, 0] == pytest.approx(rows[:-1, 1])
+    assert len(run.changes) == (4 if span == 2 else 5)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+def test_chosen_phases(integrator):
+    every = simulate(duffing(), [1.0, 0.5], 1.6, integrator=INTEGRATORS[1], omega=1.1)
+    run = simulate(
+        duffing(), [1.0, 0.5], 1.6, integrator=integrator, omega=1.1, phases=2 * np.pi * np.array([0.25, 0.75])
+    )
+    assert run.phases / (2 * np.pi) == pytest.approx([0.25, 0.75, 1.25, 1.6])
+    assert abs(run.states - every.states[[16, 48, 80, -1]]).max() < 1e-8
+    assert run.outputs == {}
+    assert run.changes.shape == (0, 3)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+def test_autonomous_systems(integrator):
+    """A mass thrown at a spring stop: half a free flight, then half an oscillation, then back."""
+    x, v = symbols("x", "v")
+    stop = Contact(argument=x, breakpoints=(1.0,), slopes=(0.0, 4.0))
+    system = System(name="bounce", states={"x": x, "v": v}, derivatives={"x": v, "v": -stop.force}, parameters={},
+                    contacts=[stop], outputs={"energy": v**2 / 2})  # fmt: skip
+    run = simulate(system, [0.0, 1.0], 3.5, integrator=integrator)
+    assert run.time == pytest.approx(run.phases)
+    assert run.changes[:, 0] == pytest.approx([1.0, 1.0 + np.pi / 2], abs=1e-6)
+    assert run.intervals()[:, 2].tolist() == [0, 1, 0]
+    assert run.end == pytest.approx([1 - (3.5 - 1 - np.pi / 2), -1.0], abs=1e-8)
+    assert run.outputs["energy"][-1] == pytest.approx(0.5, abs=1e-8)
+    assert "2 contact changes" in str(run)
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+def test_failures_are_named(integrator):
+    x, theta, omega = symbols("x", "theta", "omega")
+    system = System(name="tangent", states={"x": x}, derivatives={"x": 1 + x**2}, phase=theta, frequency="omega",
+                    parameters={"omega": (omega, 4.0)})  # fmt: skip
+    with pytest.raises(IntegrationFailed, match="omega = 4"):
+        simulate(system, [0.0], 3, integrator=integrator)
+
+
+def test_misuse_is_refused():
+    for arguments, message in (
+        (([1.0], 1), "2 finite states"),
+        (([np.nan, 0.0], 1), "2 finite states"),
+        (([1.0, 0.0], 0), "span must be positive"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            simulate(duffing(), *arguments)
+    with pytest.raises(ValueError, match="increasing numbers"):
+        simulate(duffing(), [1.0, 0.0], 1, phases=[7.0])
+    with pytest.raises(ValueError, match="did you mean 'omega'"):
+        simulate(duffing(), [1.0, 0.0], 1, omgea=1.0)
+    with pytest.raises(ValueError, match="must be positive"):
+        simulate(duffing(), [1.0, 0.0], 1, omega=-1.0)
+    with pytest.raises(ValueError, match="rtol must be positive"):
+        EventExact(rtol=0.0)
+    assert issubclass(IntegrationFailed, ContinuationError)
