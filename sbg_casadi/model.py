@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import casadi as ca
@@ -10,6 +11,8 @@ import numpy as np
 from continuation import Contact, System
 from sbg_casadi.dimensionless import COORDINATES, ONLY_STATE, Dimensionless
 from sbg_casadi.reading import CONSISTENT, Reading, check_rows, reading_name
+
+Parameters = Mapping[str, tuple[ca.SX, float]]
 
 
 def gear_system(dimensionless: Dimensionless, reading: Reading = CONSISTENT) -> System:
@@ -50,25 +53,69 @@ def gear_system(dimensionless: Dimensionless, reading: Reading = CONSISTENT) -> 
     System('example': 14 states, 3 parameters, phase theta with frequency frequency_ratio, 1 contact)
     """
     check_rows(reading)
+    d, theta = dimensionless, ca.SX.sym("theta")
+    k = 1 + harmonic_sum(d.stiffness_cosine, d.stiffness_sine, theta)  # (21)
+    return pair_system(d, reading, theta, k, error_sum(d, reading, theta), gear_parameters(d))
+
+
+def gear_parameters(dimensionless: Dimensionless) -> Parameters:
+    """Return the symbols and values of the parameters that every System of a pair has."""
+    values = {
+        "frequency_ratio": 1.0,
+        "torque": dimensionless.torque,
+        "mesh_damping_ratio": dimensionless.mesh_damping_ratio,
+    }
+    return {name: (ca.SX.sym(name), value) for name, value in values.items()}
+
+
+def error_sum(dimensionless: Dimensionless, reading: Reading, theta: ca.SX) -> ca.SX:
+    """Return e(theta) of (16); row 3 of the ledger has the cosine coefficients twice."""
+    d = dimensionless
+    return harmonic_sum(d.error_cosine, d.error_cosine if 3 in reading else d.error_sine, theta)
+
+
+def pair_system(
+    dimensionless: Dimensionless,
+    reading: Reading,
+    theta: ca.SX,
+    stiffness: ca.SX,
+    error: ca.SX,
+    parameters: Parameters,
+    load: ca.SX | None = None,
+) -> System:
+    """Build the equations of :func:`gear_system` for any mesh stiffness, transmission error and load.
+
+    Parameters
+    ----------
+    dimensionless : Dimensionless
+        All else, and the names; its harmonics are not used.
+    reading : frozenset of int
+    theta : SX
+        Phase.
+    stiffness, error : SX
+        K(theta) over its mean and e(theta) over half the backlash; they may contain parameters.
+    parameters : mapping
+        Those of :func:`gear_parameters` and any further ones.
+    load : SX, optional
+        What stands for T in (23), the parameter ``torque`` when absent.
+    """
     d = dimensionless
     names = ("lambda", *COORDINATES)
     position = {n: ca.SX.sym(n) for n in names}
     velocity = {f"d{n}": ca.SX.sym(f"d{n}") for n in names}
-    theta, ratio, torque, xi = (ca.SX.sym(n) for n in ("theta", "frequency_ratio", "torque", "mesh_damping_ratio"))
+    ratio, torque, xi = (parameters[n][0] for n in ("frequency_ratio", "torque", "mesh_damping_ratio"))
     lam, dlam = position["lambda"], velocity["dlambda"]
-    k = 1 + harmonic_sum(d.stiffness_cosine, d.stiffness_sine, theta)  # (21)
-    e = harmonic_sum(d.error_cosine, d.error_cosine if 3 in reading else d.error_sine, theta)  # (16)
     slopes = (d.coast_stiffness_ratio, 0.0, 1.0)
-    mesh = Contact(argument=lam - e, breakpoints=(-1.0, 1.0), slopes=slopes, name="mesh")  # (20)
-    damping = xi * (dlam if 2 in reading else dlam - ratio * ca.jacobian(e, theta))
-    force = k * mesh.force + 2 * damping  # (12)
+    mesh = Contact(argument=lam - error, breakpoints=(-1.0, 1.0), slopes=slopes, name="mesh")  # (20)
+    damping = xi * (dlam if 2 in reading else dlam - ratio * ca.jacobian(error, theta))
+    force = stiffness * mesh.force + 2 * damping  # (12)
 
     a3, acceleration = d.tangential_cosine, {}
-    total = a3 * torque - a3**2 * force
+    total = a3 * (torque if load is None else load) - a3**2 * force
     for i, name in enumerate(COORDINATES):
         bearing = bearing_term(d, i, position[name], velocity[f"d{name}"])
-        load = force - damping if name == "z_g" and 12 in reading else force  # (25)
-        acceleration[f"d{name}"] = -d.directions[i] * d.mass_ratios[i] * load - bearing  # (24)-(29)
+        share = force - damping if name == "z_g" and 12 in reading else force  # (25)
+        acceleration[f"d{name}"] = -d.directions[i] * d.mass_ratios[i] * share - bearing  # (24)-(29)
         total += d.directions[i] * acceleration[f"d{name}"]
     label = d.name if d.state == ONLY_STATE else f"{d.name}, {d.state}"
     return System(
@@ -77,13 +124,9 @@ def gear_system(dimensionless: Dimensionless, reading: Reading = CONSISTENT) -> 
         derivatives={**{n: velocity[f"d{n}"] for n in names}, "dlambda": total, **acceleration},  # (23)
         phase=theta,
         frequency="frequency_ratio",
-        parameters={
-            "frequency_ratio": (ratio, 1.0),
-            "torque": (torque, d.torque),
-            "mesh_damping_ratio": (xi, d.mesh_damping_ratio),
-        },
+        parameters=parameters,
         contacts=[mesh],
-        outputs={"mesh_force": force, "deflection": lam - e},
+        outputs={"mesh_force": force, "deflection": lam - error},
     )
 
 

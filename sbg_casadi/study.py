@@ -13,6 +13,7 @@ import numpy as np
 from continuation.branches.branch import Branch
 from continuation.errors import ContinuationError
 from continuation.model.compiled import compiled_march
+from continuation.timedomain.cvodes import CVODES
 from continuation.timedomain.parallel import up_and_down
 from continuation.timedomain.sweep import Sweep
 from sbg_casadi.crosscheck import cross_check
@@ -182,6 +183,7 @@ def study_state(
         np.linspace(*span, sweep_points),
         quantity=STATE,
         start=static_state(d),
+        integrator=CVODES(),  # another way than the branch, and than sbg sweep
         march=march,
         progress=lambda done, total: report(done / total, f"{done} of {total} frequencies"),
     )

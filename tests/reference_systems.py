@@ -96,6 +96,40 @@ def double_well() -> System:
 DOUBLE_WELL_DOUBLINGS = (0.2655817860556, 0.2866931578237, 0.2910899087718, 0.2920310002299)  # AUTO-07p
 
 
+def cubic(bias: float = 0.0) -> System:
+    """x'' + 0.3 x' + x^3 = bias + g cos(theta); without bias symmetric under x -> -x, half a period later."""
+    x, v, theta, omega, g = symbols("x", "v", "theta", "omega", "g")
+    return System(
+        name="cubic",
+        states={"x": x, "v": v},
+        derivatives={"x": v, "v": bias - 0.3 * v - x**3 + g * ca.cos(theta)},
+        phase=theta,
+        frequency="omega",
+        parameters={"g": (g, 1.0), "omega": (omega, 1.0)},
+    )
+
+
+DETACHING = (0.1, 0.35, 0.3)  # damping force d1 v - d3 v^3 + d5 v^5
+
+
+def detached_resonance(force: float) -> System:
+    """x'' + 0.1 x' - 0.35 x'^3 + 0.3 x'^5 + x = force cos(theta) (after Habib, Cirillo and Kerschen 2018).
+
+    One harmonic of velocity amplitude V meets ``D(V)^2 + (1/omega - omega)^2 V^2 = force^2`` with
+    ``D = d1 V - 3/4 d3 V^3 + 5/8 d5 V^5``: an isola while force lies between the minimum and the maximum of D.
+    """
+    x, v, theta, omega, g = symbols("x", "v", "theta", "omega", "g")
+    d1, d3, d5 = DETACHING
+    return System(
+        name="detached resonance",
+        states={"x": x, "v": v},
+        derivatives={"x": v, "v": -x - d1 * v + d3 * v**3 - d5 * v**5 + g * ca.cos(theta)},
+        phase=theta,
+        frequency="omega",
+        parameters={"omega": (omega, 1.0), "g": (g, force)},
+    )
+
+
 def absorber() -> System:
     """Two masses with a cubic absorber (nonlinear tuned vibration absorber)."""
     x1, v1, x2, v2, theta, omega, g = symbols("x1", "v1", "x2", "v2", "theta", "omega", "g")

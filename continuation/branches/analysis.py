@@ -16,6 +16,7 @@ from continuation.branches.branch import Branch, SpecialPoint
 from continuation.branches.curve import Segment
 from continuation.branches.locate import Located, locate
 from continuation.branches.newton import Metric, Node
+from continuation.branches.normal_form import describe
 from continuation.branches.screening import Suspect, screen
 from continuation.orbits.orbit import Orbit
 
@@ -131,8 +132,15 @@ def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node], index: int
         status="located" if s.status == "located" else "guessed",
         note=s.note,
         problem=problem,
-        node=s.node,
+        node=_as_on_branch(problem, s),
+        form=describe(problem, s.kind, orbit, s.nu, s.solutions),
     )
+
+
+def _as_on_branch(problem: Any, s: Located) -> Node:
+    """Return the located node at the resolution of the branch, which is coarser."""
+    u, tu = (problem.lengthen(v, s.segment.a.u) for v in (s.node.u, s.node.tu))
+    return replace(s.node, u=u, tu=tu)
 
 
 def _along(nodes: list[Node], point: SpecialPoint) -> float:

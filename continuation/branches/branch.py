@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from continuation.branches.criticality import Criticality, NormalForm
 from continuation.orbits.orbit import Orbit
 
 Kind = Literal["fold", "period-doubling", "neimark-sacker", "branch-point", "grazing"]
@@ -40,7 +41,10 @@ class SpecialPoint:
     problem : Problem or None
         What the branch was traced with; None when loaded from a file.
     node : Node or None
-        The point as an unknown of that problem, with the tangent of the branch; None when loaded from a file.
+        The point as an unknown of that problem at the resolution of the branch, with the tangent of the branch; None
+        when loaded from a file.
+    form : NormalForm or None
+        Critical eigenvector, direction, rotation number; None where they are not computed.
     """
 
     kind: Kind
@@ -53,15 +57,23 @@ class SpecialPoint:
     note: str = ""
     problem: Any = field(default=None, repr=False)
     node: Any = field(default=None, repr=False)
+    form: NormalForm | None = None
 
     @property
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers (n,), largest modulus first."""
         return self.orbit.multipliers
 
+    @property
+    def criticality(self) -> Criticality:
+        """Whether the new orbits are stable ("supercritical") or not; "undetermined", or empty for other kinds."""
+        return "" if self.form is None else self.form.criticality
+
     def __str__(self) -> str:
         note = f" ({self.note})" if self.note else ""
-        return f"{self.kind} at {self.orbit.parameter} = {self.parameter:.10g} +- {self.error:.1e}, {self.status}{note}"
+        form = str(self.form) if self.form is not None else ""
+        what = f"{self.kind} at {self.orbit.parameter} = {self.parameter:.10g} +- {self.error:.1e}, {self.status}{note}"
+        return f"{what}, {form}" if form else what
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,6 +171,7 @@ class Branch:
                     "error": s.error,
                     "status": s.status,
                     "note": s.note,
+                    **_form(s.form),
                     "rms": {k: s.orbit.rms(k) for k in s.orbit.state_names},
                     "multipliers": [[m.real, m.imag] for m in s.multipliers.tolist()],
                 }
@@ -194,6 +207,21 @@ class Branch:
             f"  stopped: {self.stop}; largest waveform error {self.error.max():.1e}",
         ]
         return "\n".join(lines)
+
+
+def _form(form: NormalForm | None) -> dict[str, Any]:
+    """Return the JSON-ready normal form; numbers that are not known are left out."""
+    if form is None:
+        return {}
+    out: dict[str, Any] = {"null_vector": [[x.real, x.imag] for x in form.null_vector.astype(complex).tolist()]}
+    if np.isfinite(form.coefficient):
+        out |= {"coefficient": form.coefficient, "coefficient_error": form.error}
+    if form.criticality:
+        out |= {"criticality": form.criticality, "reason": form.reason}
+    if np.isfinite(form.rotation_number):
+        name, distance = form.resonance
+        out |= {"rotation_number": form.rotation_number, "resonance": name, "resonance_distance": distance}
+    return out
 
 
 def leading(multipliers: np.ndarray) -> list[float]:

@@ -136,7 +136,8 @@ def cascade(
     -----
     The next doubling is the end of the first stretch of stable orbits of the doubled branch, seen from its birth; on a
     branch without stable orbits, its first doubling. The accumulation point is extrapolated with the last measured ratio
-    (Aitken); its error is the larger of the difference from Feigenbaum's ratio and the change by the last doubling.
+    (Aitken); its error is the larger of the difference that Feigenbaum's ratio makes and a ratio's part of the change by
+    the last doubling.
 
     Examples
     --------
@@ -257,4 +258,4 @@ def _accumulation(doublings: list[SpecialPoint]) -> tuple[float | None, float | 
     else:
         before = at[-2] + d[-2] / (FEIGENBAUM * (1 + _COARSE) - 1)
     located = doublings[-1].error + doublings[-2].error
-    return float(value), float(max(abs(value - other), abs(value - before)) + located)
+    return float(value), float(max(abs(value - other), abs(value - before) / FEIGENBAUM) + located)

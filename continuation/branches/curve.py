@@ -64,6 +64,18 @@ class Segment:
         size = self.metric.length(du, dp)
         return correct(self.problem, (u, p), (du / size, dp / size), self.metric)
 
+    def coordinate(self, u: np.ndarray, p: float) -> float:
+        """Return the x whose hyperplane, normal to the interpolation, holds a point of the same resolution."""
+        x = 0.5
+        for _ in range(20):
+            (v, q), (dv, dq) = self.at(np.array([x]))[0], self.direction(x)
+            square = self.metric.dot((dv, dq), (dv, dq))
+            step = self.metric.dot((u - v, p - q), (dv, dq)) / (square or 1.0)
+            x = float(np.clip(x + step, -2.0, 3.0))
+            if abs(step) < 1e-10:
+                break
+        return x
+
     def sharpened(self, like: np.ndarray) -> Segment:
         """Return the same piece with both ends corrected at another resolution."""
 

@@ -5,7 +5,7 @@ With M_nu the operator that is singular at a multiplier exp(2 pi i nu), the scal
     [[M, b], [c*, 0]] [v; g] = [0; 1],     [w*, g] [[M, b], [c*, 0]] = [0, 1],
 
 vanishes where M is singular, and its derivative in anything is ``-w* M' v`` (Govaerts, Numerical Methods for
-Bifurcations of Dynamical Equilibria, chapters 3 and 4; Kuznetsov, Elements of Applied Bifurcation Theory, section 10.2).
+Bifurcations of Dynamical Equilibria, chapters 3 and 4; Kuznetsov, Elements of Applied Bifurcation Theory, 10.2).
 nu = 0 is a fold, 1/2 a period-doubling; at a Neimark-Sacker point nu is an unknown and g complex.
 """
 
@@ -20,6 +20,7 @@ import scipy.sparse as sp
 
 from continuation.branches.branch import Kind
 from continuation.branches.newton import Metric, Node, correct, size_of
+from continuation.branches.sparse_bordered import solve_bordered
 from continuation.errors import NoConvergence, UnsupportedModel
 
 SHIFT: dict[Kind, float] = {"fold": 0.0, "period-doubling": 0.5}
@@ -37,8 +38,8 @@ class Null:
 def nearest_null(M: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]:
     """Return unit vectors near the right and left null vectors of a nearly singular matrix, by inverse iteration.
 
-    >>> [abs(x).round(12).tolist() for x in nearest_null(np.array([[1.0, 0.0], [1.0, 1e-9]]))]
-    [[0.0, 1.0], [0.707106781187, 0.707106781187]]
+    >>> [abs(x).round(6).tolist() for x in nearest_null(np.array([[1.0, 0.0], [1.0, 1e-9]]))]
+    [[0.0, 1.0], [0.707107, 0.707107]]
     """
     N = len(M)
     scale = float(np.abs(M).max()) or 1.0
@@ -115,6 +116,7 @@ class ExtendedProblem:
         self.extra = 2 if kind == "neimark-sacker" else 1
         self._borders: tuple[np.ndarray, np.ndarray] | None = None
         self._last: tuple[np.ndarray, float, Null] | None = None
+        self._linear: tuple[Any, np.ndarray] | None = None
 
     # ---------------------------------------------------------------- the unknown
     def join(self, u: np.ndarray, p: float, nu: float = 0.0) -> np.ndarray:
@@ -146,7 +148,8 @@ class ExtendedProblem:
         u, p, nu = self.split(U)
         inner = self.at(q)
         F, J, Fp = inner.linearise(u, p)
-        null = self.null(U, q)
+        null = self._null(u, p, nu)
+        self._last, self._linear = (U, q, null), (J, Fp)
         form = inner.critical_form(u, p, nu, null.v, null.w)
         columns = [-form.parameter(inner.parameter) / self._scale]
         if self.extra == 2:
@@ -174,15 +177,37 @@ class ExtendedProblem:
         """Return g and the null vectors at an unknown; the borders follow them."""
         if self._last is not None and self._last[0] is U and self._last[1] == q:
             return self._last[2]
-        u, p, nu = self.split(U)
-        M = self.at(q).critical_operator(u, p, nu)
+        self.at(q)
+        null = self._null(*self.split(U))
+        self._last = U, q, null
+        return null
+
+    def _null(self, u: np.ndarray, p: float, nu: float) -> Null:
+        M = self.inner.critical_operator(u, p, nu)
         if self._borders is None or len(self._borders[0]) != len(M):
             v, w = nearest_null(M)
             self._borders = w, v
         null = bordered(M, *self._borders)
         self._borders = null.w / np.linalg.norm(null.w), null.v / np.linalg.norm(null.v)
-        self._last = U, q, null
         return null
+
+    def tangent(self, along: tuple[np.ndarray, float], metric: Metric) -> tuple[np.ndarray, float]:
+        """Return the unit tangent (du, dp) of the branch at the last solution, on the side of a direction ``along``."""
+        if self._linear is None:
+            raise ValueError("tangent: solve the system first")
+        (J, Fp), n = self._linear, len(along[0])
+        row = np.append(along[0] / metric.size**2, along[1] / metric.span**2)
+        unit = np.zeros((n + 1, 1))
+        unit[n] = 1.0
+        if sp.issparse(J):
+            found = solve_bordered(J, Fp, row, unit)
+            t = None if found is None else found[0][:, 0]
+        else:
+            t = np.linalg.solve(np.block([[J, Fp[:, None]], [row]]), unit)[:, 0]
+        if t is None:
+            raise NoConvergence("the Jacobian is singular in orbit and parameter together")
+        size = metric.length(t[:-1], float(t[-1]))
+        return t[:-1] / size, float(t[-1]) / size
 
     # ---------------------------------------------------------------- resolution
     def adapt(self, U: np.ndarray, q: float) -> tuple[np.ndarray, float]:

@@ -1,9 +1,10 @@
-"""Locate special points on the true branch: safeguarded secant on the test function, at rising resolution."""
+"""Locate special points on the true branch: Newton on the extended system, or a secant, at rising resolution."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from scipy.optimize import brentq
 
 from continuation.branches.branch import Kind
 from continuation.branches.curve import Segment
+from continuation.branches.extended import SHIFT, ExtendedProblem, extended, solve_point
 from continuation.branches.newton import Node
 from continuation.branches.screening import Suspect
-from continuation.errors import NoConvergence
+from continuation.errors import IntegrationFailed, NoConvergence, UnsupportedModel
 
 _GOAL = 1e-9  # wanted error, relative to the size of the parameter
 _ROOT = 2e-11  # where the secant stops, relative likewise
@@ -23,7 +25,11 @@ _REACH = 0.5  # how far outside its segment a root may lie (multipliers and oper
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Located:
-    """A located point: kind, node, parameter error, the segment it was found on and its coordinate x there."""
+    """A located point: kind, node, parameter error, the segment it was found on and its coordinate x there.
+
+    Where it was located on an extended system, ``nu`` is the angle of the critical multiplier over 2 pi and
+    ``solutions`` are the first ones, of rising resolution.
+    """
 
     kind: Kind
     node: Node
@@ -32,25 +38,116 @@ class Located:
     x: float
     status: str
     note: str = ""
+    nu: float = float("nan")
+    solutions: tuple[tuple[ExtendedProblem, np.ndarray], ...] = ()
 
 
 def locate(suspect: Suspect) -> Located | str:
-    """Return the located point, a note (str) on why it can't be located, or "" where there is none."""
+    """Return the located point, a note (str) on why it can't be located, or "" where there is none.
+
+    Newton's method on the minimally extended system goes first, where the method of the orbits offers its derivatives;
+    the secant on the test function second, inside the sign change where the first one left it.
+    """
     segment = suspect.segment
     kind = _kind(suspect)
-    test = _tests(segment.problem, kind)
-    if kind == "neimark-sacker" and not np.isfinite(test(_interpolated(segment, suspect.x))):
-        return ""  # two real multipliers with product 1, a neutral saddle, are no torus point
+    if kind == "branch-point":
+        return _tried(segment, kind, suspect.x, partial(_branch_point, segment, _tests(segment.problem, kind)))
+    nu = SHIFT.get(kind, 0.0)
+    if kind == "neimark-sacker":
+        (u, p) = segment.at(np.array([suspect.x]))[0]
+        nu = _rotation(segment.problem, u, p)
+        if not np.isfinite(nu):
+            return ""  # two real multipliers with product 1, a neutral saddle, are no torus point
     reason = ""
-    for x0 in (suspect.x, 0.5, 0.0, 1.0):
+    try:
+        return _extended(segment, kind, suspect.x, nu)
+    except UnsupportedModel:
+        pass  # the method has no second derivatives
+    except (NoConvergence, IntegrationFailed) as failure:
+        reason = str(failure)
+    found = _tried(segment, kind, suspect.x, partial(_rising, segment, kind, _tests(segment.problem, kind)))
+    if isinstance(found, Located) and reason:
+        words = f"by the secant on its test function: the extended system failed ({reason})"
+        return replace(found, note=f"{words}; {found.note}" if found.note else words)
+    return found
+
+
+def _tried(segment: Segment, kind: Kind, x: float, method: Callable[[float], Located]) -> Located | str:
+    """Return what a method finds from several starts, or a note."""
+    reason = ""
+    for x0 in (x, 0.5, 0.0, 1.0):
         try:
-            if kind == "branch-point":
-                return _branch_point(segment, test, x0)
-            return _rising(segment, kind, test, x0)
+            return method(x0)
         except NoConvergence as failure:
             reason = str(failure)
     a, b = sorted((segment.a.p, segment.b.p))
     return f"{segment.problem.parameter} in [{a:.10g}, {b:.10g}]: {kind} seen but not located ({reason})"
+
+
+def _rotation(problem: Any, u: np.ndarray, p: float) -> float:
+    """Return the rotation number in (0, 1/2) of the complex pair nearest to the unit circle, NaN without one."""
+    mu = np.linalg.eigvals(problem.monodromies([(u, p)])[0])
+    pairs = mu[mu.imag > 1e-9]
+    if not pairs.size:
+        return np.nan
+    return float(np.angle(pairs[np.argmin(np.abs(np.abs(pairs) - 1))]) / (2 * np.pi))
+
+
+def _extended(segment: Segment, kind: Kind, x: float, nu: float) -> Located:
+    """Solve the extended system at rising resolution until the change of the parameter says it is good enough."""
+    problem, scale = segment.problem, _scale(segment)
+    u, p = segment.at(np.array([x]))[0]
+    system = extended(problem, kind, u, p)
+    node = solve_point(system, system.join(u, p, nu))
+    x = _place(segment, system, node)
+    changes: list[float] = []
+    solutions = [node.u]
+    error = np.inf
+    while error > _GOAL * scale:
+        longer = system.refined(node.u, 0.0)
+        if longer is None:
+            break
+        finer = solve_point(system, longer)
+        changes.append(abs(system.split(finer.u)[1] - system.split(node.u)[1]))
+        solutions.append(finer.u)
+        error = _extrapolated(changes) + _ROOT * scale
+        if _fixed(problem):  # the point of the resolution that was asked for
+            error = changes[-1] + _ROOT * scale
+            node = solve_point(system, node.u)  # its linearisation is the one at hand again
+            break
+        node = finer
+    u, p, nu = system.split(node.u)
+    du, dp = segment.direction(x)
+    tangent = system.tangent((problem.lengthen(du, u), dp), segment.metric)
+    point = Node(u, p, *tangent, 1.0, node.iterations)
+    if not changes:
+        error = problem.point_error(point, kind) + _ROOT * scale
+    pairs = tuple((system, U) for U in solutions[:2])
+    return replace(_result(kind, point, error, segment, x), nu=nu, solutions=pairs)
+
+
+def _fixed(problem: Any) -> bool:
+    return any(getattr(problem.method, name, None) is not None for name in ("harmonics", "intervals"))
+
+
+def _place(segment: Segment, system: ExtendedProblem, node: Node) -> float:
+    """Return the coordinate of a solution on the segment that it was looked for on.
+
+    Raises
+    ------
+    NoConvergence
+        If it is another point: off the segment, or beyond an end although the test function changes sign inside.
+    """
+    u, p, nu = system.split(node.u)
+    if system.kind == "neimark-sacker" and not 1e-6 < nu < 0.5 - 1e-6:
+        raise NoConvergence("its multipliers are not a complex pair")
+    x = segment.coordinate(u, p)
+    if 0 <= x <= 1:
+        return x
+    test = _tests(segment.problem, system.kind)
+    if not -_REACH <= x <= 1 + _REACH or test(segment.a) * test(segment.b) < 0:
+        raise NoConvergence("it led to another point")
+    return x
 
 
 def _kind(suspect: Suspect) -> Kind:
@@ -93,7 +190,6 @@ def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: floa
     like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
     x, node, slope = _secant(segment, test, x, like, None, scale)
     found, changes = node, []
-    fixed = any(getattr(problem.method, name, None) is not None for name in ("harmonics", "intervals"))
     error = np.inf
     while True:
         longer = problem.refined(node.u, node.p)
@@ -101,7 +197,7 @@ def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: floa
             break
         at, node, slope = _secant(segment, test, x, longer, slope, scale)
         changes.append(abs(node.p - found.p))
-        if fixed:
+        if _fixed(problem):
             return _result(kind, found, changes[-1] + _ROOT * scale, segment, x)
         x, found = at, node
         error = _extrapolated(changes) + _ROOT * scale

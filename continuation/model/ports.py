@@ -108,12 +108,14 @@ class Ports:
         s = self.system
         zero = [ca.SX.zeros(s.x.shape), ca.SX.zeros(s.phi.shape)]
         u, arguments = ca.substitute([s.derivative, s.arguments], [s.x, s.phi], zero)
-        values = ca.Function("rest", [s.theta, s.p], [ca.sparsify(u)])(PROBES.reshape(1, -1), s.parameter_vector())
-        self.rest = np.zeros(len(s.state_names))
-        if np.all(np.isfinite(np.array(values.nonzeros()))):
+        closed = s.closed() if self.general else ca.SX(0, 1)
+        rates = ca.Function("rest", [s.x, s.theta, s.p], [ca.sparsify(u), closed])
+        values = rates(np.zeros(len(s.state_names)), PROBES.reshape(1, -1), s.parameter_vector())
+        fine = [bool(np.all(np.isfinite(np.array(v.nonzeros())))) for v in values]
+        self.rest = np.zeros(len(s.state_names)) if all(fine) else self._points[0][:, 0]
+        if fine[0]:
             return u, arguments
-        self.rest = self._points[0][:, 0]
-        x = ca.SX(ca.DM(self.rest))
+        x = ca.SX(ca.DM(self._points[0][:, 0]))
         return ca.substitute([s.derivative], [s.x, s.phi], [x, zero[1]])[0] - self._constant @ x, arguments
 
     def _split(self) -> tuple[ca.SX, ca.SX]:
@@ -182,14 +184,12 @@ class Ports:
     def _sample_points(self, p: np.ndarray) -> list[np.ndarray]:
         """Return random states (n, .), contact forces and phases where the model is finite (phi**1.5 needs phi > 0)."""
         rng = np.random.default_rng(0)
-        n, c, count = len(self.system.state_names), len(self.system.contacts), _SAMPLES * (8 if self.general else 1)
+        n, c, count = len(self.system.state_names), len(self.system.contacts), _SAMPLES * 8
         points = [
             rng.standard_normal((n, count)),
             rng.standard_normal((c, count)),
             rng.uniform(0, 2 * np.pi, (1, count)),
         ]
-        if not self.general:
-            return points
         good = np.ones(count, dtype=bool)
         for part, found in zip(self.sampled_parts(), self._sampler(*points, p), strict=True):
             if found.numel():
@@ -243,16 +243,20 @@ class Ports:
         p, general = s.parameter_vector(), list(self.general)
         A = as_matrix(self._constant_at(p))
         B, C = self._directions(p)
+        if not all(np.all(np.isfinite(part)) for part in self.excitation.at(0.3, p)):
+            raise UnsupportedModel(
+                f"system {s.name!r}: the right-hand side is not finite where all states are 0, and harmonic balance "
+                "splits it there; shift the states, or use Shooting or Collocation"
+            )
         for x, phi, theta in zip(*(a.T[-4:] for a in self._points), strict=True):
             f, arguments = (np.array(v).ravel() for v in whole(x, phi, theta, p))
             u, gain, offset = self.excitation.at(float(theta[0]), p)
             force, met = (np.array(v).ravel() for v in self.law.free(C @ x, phi[general], theta, p))
             force = force + gain.T @ phi
             straight = np.array(self._straight, dtype=bool)
-            found = np.array(self.argument_slope(p)) @ (C @ x) + offset if straight.any() else offset
-            f = np.concatenate([f, arguments[general], arguments[straight]])
-            rebuilt = np.concatenate([A @ x + u + B @ force, met, found[straight]])
-            if not np.allclose(rebuilt, f, rtol=1e-8, atol=1e-8 * max(np.abs(f).max(), 1e-300)):
+            found = np.array(self.argument_slope(p)).reshape(len(offset), len(C)) @ (C @ x) + offset
+            found[general] = np.where(straight[general], found[general], met)
+            if not (_same(A @ x + u + B @ force, f) and _same(found, arguments)):
                 raise UnsupportedModel(
                     f"system {s.name!r}: the right-hand side jumps (sign, floor, if_else) where its derivative does "
                     "not show it; declare corners as a Contact and smooth jumps, e.g. sign(v) as tanh(v / width)"
@@ -381,6 +385,10 @@ class Ports:
         size = np.abs(np.fft.rfft(rows, axis=1))
         used = np.flatnonzero((size > 1e-10 * size.max(axis=1, initial=0.0, keepdims=True)).any(axis=0))
         return int(used[-1]) if used.size else 0
+
+
+def _same(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool(np.allclose(a, b, rtol=1e-8, atol=1e-8 * max(np.abs(b).max(initial=0.0), 1e-300)))
 
 
 def _kept_rows(matrix: ca.SX, keep: list[bool]) -> ca.SX:

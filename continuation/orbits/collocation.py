@@ -387,11 +387,13 @@ class CollocationProblem:
         return find_orbit(self, values)
 
     def from_orbit(self, orbit: Orbit) -> Orbit:
-        """Bring an orbit of this System that any method found into this one (raises NoConvergence)."""
-        return self.solve(orbit, orbit.value)
+        """Bring an orbit of this System that any method found into this one (raises NoConvergence, ValueError)."""
+        from continuation.orbits.start import taken_over
+
+        return taken_over(self, orbit)
 
     def solve(self, orbit: Orbit, value: float) -> Orbit:
         """Correct a neighbouring orbit at a given value of the continuation parameter (raises NoConvergence)."""
-        from continuation.orbits.start import correct_at
+        from continuation.orbits.start import solve_from
 
-        return correct_at(self, self.unknown(orbit), value)
+        return solve_from(self, orbit, value)

@@ -309,19 +309,21 @@ class FreePeriodProblem:
         return self.from_orbit(find_cycle(self, values))
 
     def from_orbit(self, orbit: Orbit) -> Orbit:
-        """Bring an orbit of this System that any method found into this one (raises NoConvergence)."""
-        return self.solve(orbit, orbit.value)
+        """Bring an orbit of this System that any method found into this one (raises NoConvergence, ValueError)."""
+        from continuation.orbits.start import taken_over
+
+        return taken_over(self, orbit)
 
     def solve(self, orbit: Orbit, value: float) -> Orbit:
         """Correct a neighbouring orbit at a given value of the continuation parameter (raises NoConvergence)."""
-        from continuation.orbits.start import correct_at
+        from continuation.orbits.start import solve_from
 
-        U = self.unknown(orbit)
-        before = self._moving(U, value)
-        found = correct_at(self, U, value)
+        before = self._moving(self.unknown(orbit), value)
+        found = solve_from(self, orbit, value)
         if not self._moving(self.unknown(found), value) > _FALLEN * before:
             raise NoConvergence(
                 f"the correction at {self.parameter} = {value:g} fell back on an equilibrium; start from a nearer cycle",
                 parameter=value,
+                orbit=orbit,
             )
         return found

@@ -97,6 +97,7 @@ class HarmonicBalanceProblem:
         self._last: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
         self._corrections: dict[bytes, Estimate] = {}
+        self._slope: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
         self.evaluations = self.factorisations = 0
         self.free: str | None = None  # the frequency, where it is an unknown (an autonomous System)
 
@@ -209,6 +210,7 @@ class HarmonicBalanceProblem:
         J = operator(balance[1], force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
         Fp = self._derivative(Y, p, balance, self._index)
         self._last = (u, self.vector(p), J, Fp)
+        self._slope = (u, self.vector(p), force.slope)
         return pack(balance[0]), J, Fp
 
     def parameter_derivative(self, u: np.ndarray, p: float, name: str) -> np.ndarray:
@@ -256,12 +258,22 @@ class HarmonicBalanceProblem:
         out[1:few] += r.seen(1j * orders[1:few] * self.frequency(p), driven[1:], 2)
         return (1j * orders / self.period_multiple)[:, None] * out
 
+    def port_slope(self, u: np.ndarray, p: float, reach: int) -> np.ndarray:
+        """Return the Fourier coefficients (2 reach + 1, m, k) of the port slope along the orbit; the last is kept."""
+        if self._slope is None or self._slope[0] is not u or self._slope[1] is not self.vector(p):
+            self._slope = None
+        if self._slope is None or len(self._slope[2]) < 2 * reach + 1:
+            slope = self.forces(unpack(u, self.ports.outputs), self.vector(p), 0, reach).slope
+            self._slope = (u, self.vector(p), slope)
+        extra = len(self._slope[2]) // 2 - reach
+        return self._slope[2][extra : len(self._slope[2]) - extra]
+
     def half_operator(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return the operator on half-integer harmonics, singular exactly at a multiplier -1; shape (2 K k, 2 K k)."""
         Y = unpack(u, self.ports.outputs)
         K = max(len(Y) - 1, 2)
         orders = np.arange(K) + 0.5
-        slope = self.forces(Y, self.vector(p), 0, 2 * K).slope
+        slope = self.port_slope(u, p, 2 * K)
         return operator(self.transfer(p, orders), slope, self.receptance(p).stiffness(orders), K, half=True)
 
     def critical_operator(self, u: np.ndarray, p: float, nu: float) -> np.ndarray:
@@ -377,14 +389,15 @@ class HarmonicBalanceProblem:
         ratio, rest = divmod(self.period_multiple, orbit.period_multiple)
         if rest:
             raise ValueError(f"an orbit of period {orbit.period_multiple} has no period {self.period_multiple}")
-        C = self.ports.linear(self.vector(orbit.value)).C
+        value = orbit.parameters[self.parameter]
+        C = self.ports.linear(self.vector(value)).C
         Y = np.zeros((orbit.harmonic_count * ratio + 1, self.ports.outputs), dtype=complex)
         Y[::ratio] = orbit.coefficients @ C.T
         Y[0] = Y[0].real
         u, k = pack(Y), self.ports.outputs
         if self.method.harmonics is not None:
             return resize(u, k, self.method.harmonics)
-        return resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self.forced(orbit.value)))))
+        return resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self.forced(value)))))
 
     def orbits(self, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
         """Return Orbits with certified multipliers for corrected points (u, p, waveform error), in one batch."""
@@ -438,14 +451,16 @@ class HarmonicBalanceProblem:
         return np.asarray((2j * np.arange(len(X))[:, None] * X).sum(axis=0).real)
 
     def from_orbit(self, orbit: Orbit) -> Orbit:
-        """Bring an orbit of this System that any method found into this one (raises NoConvergence)."""
-        return self.solve(orbit, orbit.value)
+        """Bring an orbit of this System that any method found into this one (raises NoConvergence, ValueError)."""
+        from continuation.orbits.start import taken_over
+
+        return taken_over(self, orbit)
 
     def solve(self, orbit: Orbit, value: float) -> Orbit:
         """Correct a neighbouring orbit at a given value of the continuation parameter (raises NoConvergence)."""
-        from continuation.orbits.start import correct_at
+        from continuation.orbits.start import solve_from
 
-        return correct_at(self, self.unknown(orbit), value)
+        return solve_from(self, orbit, value)
 
 
 def ladder(harmonics: int) -> int:

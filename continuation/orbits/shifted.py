@@ -108,7 +108,7 @@ class ShiftedOperator:
     def slope(self) -> Array:
         """Two-sided Fourier coefficients (2 J - 1, m, k) of the port slope along the orbit."""
         reach = len(self.orders) - 1
-        return np.asarray(self.problem.forces(self.Y, self.vector, 0, reach).slope)
+        return np.asarray(self.problem.port_slope(self.u, self.p, reach))
 
     def matrix(self) -> Array:
         """Return the complex matrix (J k, J k) on the amplitudes."""

@@ -333,15 +333,10 @@ class ShootingProblem:
         NoConvergence
             With the history of residuals and the orbit given.
         """
+        from continuation.orbits.start import taken_over
+
         self._check_fit(orbit)
-        for name, value in self.values.items():
-            given = orbit.parameters.get(name, value)
-            if name not in (self.parameter, self.free) and abs(given - value) > 1e-9 * max(abs(given), abs(value)):
-                raise ValueError(
-                    f"the orbit is of {describe({name: given})}, the problem of {describe({name: value})}; "
-                    f"give {name}={given:g} to discretise"
-                )
-        return self.solve(orbit, orbit.parameters[self.parameter])
+        return taken_over(self, orbit)
 
     def solve(self, orbit: Orbit, value: float) -> Orbit:
         """Correct a neighbouring orbit at a given value of the continuation parameter.

@@ -62,6 +62,48 @@ def correct_at(problem: Any, u: np.ndarray, p: float) -> Orbit:
     return problem.orbits([(node.u, node.p, error)])[0]
 
 
+def taken_over(problem: Any, orbit: Orbit) -> Orbit:
+    """Bring an orbit of the same System, by whatever method, into a problem.
+
+    Raises
+    ------
+    ValueError
+        If it is of another System, or of other values of the parameters that are fixed in the problem.
+    NoConvergence
+        With the residual history and the orbit given.
+    """
+    if orbit.state_names != problem.system.state_names:
+        raise ValueError(f"the orbit is of system {orbit.system!r}, the problem of {problem.system.name!r}")
+    for name, value in problem.values.items():
+        given = orbit.parameters.get(name, value)
+        if name != problem.parameter and abs(given - value) > 1e-9 * max(abs(given), abs(value)):
+            raise ValueError(
+                f"the orbit is of {name} = {given:g}, the problem of {name} = {value:g}; "
+                f"give {name}={given:g} to discretise"
+            )
+    return problem.solve(orbit, orbit.parameters[problem.parameter])
+
+
+def solve_from(problem: Any, orbit: Orbit, value: float) -> Orbit:
+    """Correct a neighbouring orbit at a value of the continuation parameter.
+
+    Raises
+    ------
+    NoConvergence
+        With the parameter value, the residual history and the orbit it started from.
+    """
+    try:
+        return correct_at(problem, problem.unknown(orbit), value)
+    except NoConvergence as failure:
+        raise NoConvergence(
+            f"no orbit at {problem.parameter} = {value:g} found from the one at {orbit.parameters[problem.parameter]:g}: {failure}; "
+            "take a smaller step, or trace the branch",
+            failure.history,
+            value,
+            orbit,
+        ) from failure
+
+
 def _settle(problem: Any, u: np.ndarray, p: float) -> tuple[Node, float]:
     error = np.inf
     for _ in range(12):

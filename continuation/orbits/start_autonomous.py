@@ -13,13 +13,14 @@ from continuation.errors import NoConvergence, nearest
 from continuation.orbits.orbit import Orbit
 from continuation.timedomain.runge_kutta import Kernel
 
-_RTOL = 1e-9
+_RTOL = 1e-6  # of the integration that settles; the orbit itself is integrated a thousand times finer
 _STARTS = 3
-_STRETCHES = (50.0, 200.0, 800.0)  # integration time in units of the fastest time of the start, until the next look
-_RETURNS = 32  # cycles looked at for a return
+_STRETCHES = (20.0, 60.0, 200.0, 800.0)  # integration time in units of the fastest time of the start, until the next look
+_RETURNS = (4, 32)  # cycles looked at for a return, first and second look
 _CLOSE = 1e-3  # distance after a period over the size of the orbit that counts as a return
 _STILL = 1e-5  # movement over the largest state seen below which the flow has come to rest
 _SAMPLES = 512
+_TAIL = 1e-6
 
 
 def find_cycle(problem: Any, values: dict[str, float]) -> Orbit:
@@ -79,7 +80,7 @@ def _settle(f: Any, x: np.ndarray) -> tuple[tuple[np.ndarray, float] | None, str
     """Return (samples over one cycle (N, n), period), or None with the reason."""
     reason, unit, largest = "", 1.0, 0.0
     for k, stretch in enumerate((*_STRETCHES, _STRETCHES[-1], _STRETCHES[-1])):
-        run = solve_ivp(f, (0.0, stretch * unit), x, method="DOP853", rtol=_RTOL, atol=1e-9, dense_output=k > 0)
+        run = solve_ivp(f, (0.0, stretch * unit), x, method="DOP853", rtol=_RTOL, atol=1e-9)
         if not run.success or not np.all(np.isfinite(run.y)) or np.abs(run.y).max() > 1e12:
             return None, "the integration runs away"
         x = run.y[:, -1]
@@ -91,10 +92,11 @@ def _settle(f: Any, x: np.ndarray) -> tuple[tuple[np.ndarray, float] | None, str
         unit = _cycle_time(run, unit)
         if k == 0:
             continue
-        found = _return(f, x, unit, float(spread.max()))
-        if found is not None:
-            return found, ""
-        reason = f"no return within {_RETURNS} cycles"
+        for cycles in _RETURNS:
+            found = _return(f, x, unit, float(spread.max()), cycles)
+            if found is not None:
+                return found, ""
+        reason = f"no return within {_RETURNS[-1]} cycles"
     return None, reason
 
 
@@ -108,13 +110,13 @@ def _cycle_time(run: Any, unit: float) -> float:
     return float(np.diff(ups).mean()) if len(ups) > 2 else unit
 
 
-def _return(f: Any, x: np.ndarray, unit: float, size: float) -> tuple[np.ndarray, float] | None:
+def _return(f: Any, x: np.ndarray, unit: float, size: float, cycles: int) -> tuple[np.ndarray, float] | None:
     """Return the orbit through x if the flow comes back to it within some cycles."""
     normal = f(0.0, x)
-    run = solve_ivp(f, (0.0, _RETURNS * unit), x, method="DOP853", rtol=_RTOL, atol=1e-9, dense_output=True)
+    run = solve_ivp(f, (0.0, cycles * unit), x, method="DOP853", rtol=_RTOL / 1e3, atol=1e-9, dense_output=True)
     if not run.success:
         return None
-    t = np.linspace(0.0, run.t[-1], 64 * _RETURNS)
+    t = np.linspace(0.0, run.t[-1], 64 * cycles)
     height = normal @ (run.sol(t) - x[:, None])
     ups = np.flatnonzero((height[:-1] < 0) & (height[1:] >= 0))
     for i in ups:
@@ -127,14 +129,17 @@ def _return(f: Any, x: np.ndarray, unit: float, size: float) -> tuple[np.ndarray
 
 def _orbit(problem: Any, p: float, vector: np.ndarray, wave: np.ndarray, period: float) -> Orbit:
     n = wave.shape[1]
+    spectrum = np.fft.rfft(wave, axis=0)[: _SAMPLES // 3] / _SAMPLES
+    size = np.abs(spectrum).max(axis=1)
+    last = int(np.flatnonzero(size > _TAIL * size[1:].max())[-1])  # the method adds what it needs
     return Orbit(
         system=problem.system.name,
         state_names=problem.system.state_names,
         parameter=problem.parameter,
         parameters=dict(zip(problem.system.parameter_names, vector.tolist(), strict=True)),
-        period=period * problem.period_multiple if problem.period_multiple == 1 else period,
+        period=period,
         period_multiple=problem.period_multiple,
-        coefficients=np.fft.rfft(wave, axis=0)[: _SAMPLES // 3] / _SAMPLES,
+        coefficients=spectrum[: last + 1],
         multipliers=np.full(n, np.nan),
         multiplier_error=np.full(n, np.inf),
         stability="undecided",

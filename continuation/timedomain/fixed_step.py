@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 
+import casadi as ca
 import numpy as np
 
 from continuation.errors import ContinuationError, nearest
@@ -17,6 +18,9 @@ from continuation.timedomain.fixed_step_machine import MachineMarch, March
 from continuation.timedomain.fixed_step_run import FixedStepRun, collect, failure
 from continuation.timedomain.fixed_step_virtual import VirtualMarch
 from continuation.timedomain.kernels import Kernel
+
+_PER_TIME_CONSTANT = 8
+_MOST_STEPS = 16384
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +113,16 @@ class FixedStepIntegrator:
         self._kernels = Kernel(f.forcing), Kernel(f.begin), Kernel(f.observe)
         self._table: tuple[bytes, np.ndarray] = (b"", np.empty(0))
         self._lock = Lock()  # threads may march side by side, but share the kernels and the table
+
+    def with_steps(self, steps_per_period: int) -> FixedStepIntegrator:
+        """Return the same integrator with another number of steps; nothing is compiled again."""
+        new = object.__new__(FixedStepIntegrator)
+        new.__dict__.update(self.__dict__)
+        new.settings = replace(self.settings, steps_per_period=steps_per_period)
+        f = self._functions
+        new._kernels = Kernel(f.forcing), Kernel(f.begin), Kernel(f.observe)
+        new._table, new._lock = (b"", np.empty(0)), Lock()
+        return new
 
     def run(
         self,
@@ -205,6 +219,58 @@ class FixedStepIntegrator:
             table = self._engine.tabulate(m.p, m.h * m.turn, m.steps)
             self._table = (m.p.tobytes(), table)
         return table
+
+
+class SuitableSteps:
+    """Tell how many steps of the classical method a System needs at parameter values; built once per System.
+
+    Notes
+    -----
+    A step covers at most 1/8 of the time constant of the fastest eigenvalue with all contacts closed at their steepest
+    slope, from the Jacobian at state 0 and eight phases, which puts 2e-6 of relative error on that frequency. The
+    number is 256 times a power of two. States far from 0 of a nonlinear model may need more.
+
+    Examples
+    --------
+    >>> import casadi as ca
+    >>> x, theta, omega = (ca.SX.sym(k) for k in ("x", "theta", "omega"))
+    >>> fast = System(name="fast", states={"x": x}, derivatives={"x": -20*x}, phase=theta, frequency="omega",
+    ...               parameters={"omega": (omega, 1.0)})
+    >>> SuitableSteps(fast)(fast.parameter_vector())
+    1024
+    """
+
+    def __init__(self, system: System) -> None:
+        closed = [max(c.slopes, key=abs) * system.arguments[i] for i, c in enumerate(system.contacts)]
+        f = ca.substitute(system.derivative, system.phi, ca.vertcat(*closed)) if closed else system.derivative
+        jacobian = ca.jacobian(f, system.x)
+        self._matrix = ca.Function("jacobian", [system.x, system.theta, system.p], [ca.densify(jacobian)])
+        self._size, self._name = len(system.state_names), system.name
+        self._frequency = None if system.frequency is None else system.parameter_names.index(system.frequency)
+
+    def __call__(self, p: np.ndarray) -> int:
+        """Return the number of steps per excitation period, or per unit of time.
+
+        Raises
+        ------
+        ContinuationError
+            If more than 16384 were needed: the model is too stiff for an explicit method.
+        """
+        phases = 2 * np.pi * np.arange(8) / 8
+        matrices = [np.array(self._matrix(np.zeros(self._size), t, p)) for t in phases]
+        if not np.all(np.isfinite(matrices)):
+            return 256
+        radius = float(np.abs(np.linalg.eigvals(np.array(matrices))).max(initial=0.0))
+        length = 1.0 if self._frequency is None else 2 * np.pi / float(p[self._frequency])
+        steps = 256
+        while steps < _PER_TIME_CONSTANT * radius * length:
+            steps *= 2
+            if steps > _MOST_STEPS:
+                raise ContinuationError(
+                    f"system {self._name!r}: explicit steps of fixed length would have to be more than {_MOST_STEPS} a "
+                    "period for its fastest motion; use CVODES(stiff=True)"
+                )
+        return steps
 
 
 def _engine(model: ModeModel, functions: StepFunctions) -> tuple[MachineMarch | VirtualMarch, str]:

@@ -147,13 +147,13 @@ def _summary(rows: np.ndarray, length: float, x: np.ndarray, n: int) -> Lyapunov
     exponents, trace = rows[:, :-1].mean(axis=0), float(rows[:, -1].mean())
     total = float(exponents.sum())
     missed = abs(total - trace) if len(exponents) == n else 0.0
-    errors = np.hypot([_standard_error(column) for column in rows[:, :-1].T], missed)
-    total_error = float(np.hypot(_standard_error(rows[:, :-1].sum(axis=1)), missed))
+    errors = np.hypot([standard_error(column) for column in rows[:, :-1].T], missed)
+    total_error = float(np.hypot(standard_error(rows[:, :-1].sum(axis=1)), missed))
     order = np.argsort(-exponents, kind="stable")
     return LyapunovSpectrum(exponents[order], errors[order], total, total_error, trace, length, len(rows), x)
 
 
-def _standard_error(values: np.ndarray) -> float:
+def standard_error(values: np.ndarray) -> float:
     """Return the largest standard error of the mean from several numbers of blocks; correlation needs long ones."""
     found = []
     for blocks in _BLOCKS:
@@ -169,7 +169,7 @@ def _fixed(
     """Yield logarithms of the growth factors (k,), integral of the trace and state after every period."""
     n = len(x)
     x = method.compile(system).run(x, p, transient).end
-    integrator = FixedStepIntegrator(method, _variational(mode_model(system, land=method.land), k), system)
+    integrator = FixedStepIntegrator(method, variational_model(mode_model(system, land=method.land), k), system)
     q = np.eye(n, k)
     while True:
         end = integrator.run(np.concatenate([x, q.ravel(order="F"), [0.0]]), p).end
@@ -183,7 +183,7 @@ def _fixed(
         yield np.log(factors), float(end[-1]), x
 
 
-def _variational(model: ModeModel, k: int) -> ModeModel:
+def variational_model(model: ModeModel, k: int) -> ModeModel:
     """Return the model with k tangent vectors and the integral of the trace as further states."""
     n = model.x.numel()
     jacobian, vectors = ca.jacobian(model.rate, model.x), ca.SX.sym("Q", n, k)

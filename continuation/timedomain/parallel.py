@@ -1,22 +1,31 @@
-"""Sweeps up and down side by side in two processes."""
+"""Sweeps side by side: in two threads, in two processes, or with any executor."""
 
 from __future__ import annotations
 
 import logging
 import multiprocessing
-from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
-from queue import Empty
+from dataclasses import replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import numpy as np
 
+from continuation.model.machine_code import find_compiler
 from continuation.model.system import System
 from continuation.timedomain.cvodes import CVODES
-from continuation.timedomain.sweep import Progress, Sweep, SweepTask, task
+from continuation.timedomain.fixed_step import FixedStep
+from continuation.timedomain.period_map import Integrator
+from continuation.timedomain.sweep import Progress, Sweep, SweepTask, one_integrator, task
+from continuation.timedomain.sweep_result import joined
 
 logger = logging.getLogger(__name__)
+
+_PART = 16  # values with a start of their own that go to a worker together
 
 _reports: Any = None
 """In a worker: the queue on which it tells that a value is done."""
@@ -28,6 +37,8 @@ def up_and_down(
     values: Sequence[float] | np.ndarray,
     *,
     quantity: str,
+    load: str = "",
+    integrator: Integrator | None = None,
     method: CVODES | None = None,
     start: Sequence[float] | np.ndarray | None = None,
     transient: int = 32,
@@ -36,6 +47,8 @@ def up_and_down(
     tolerance: float = 1e-7,
     march: str = "",
     workers: int = 2,
+    executor: Executor | None = None,
+    resume: str | Path = "",
     progress: Progress | None = None,
 ) -> tuple[Sweep, Sweep]:
     """Sweep over the values in increasing and in decreasing order.
@@ -44,8 +57,15 @@ def up_and_down(
     ----------
     values : array (k,)
         In any order.
+    start : array (n,), optional
+        State at phase 0 before the first value of each direction.
     workers : int
-        Processes; with 1 the sweeps run one after the other in this process, with the same results.
+        With 1 the sweeps run one after the other in this thread, else side by side: fixed steps in machine code in
+        threads, the rest in processes. The results are the same.
+    executor : concurrent.futures.Executor, optional
+        Runs the two sweeps instead, in other processes or on other machines if it likes.
+    resume : str or Path
+        Folder in which ``up.nc`` and ``down.nc`` keep finished values; a rerun with the same arguments goes on there.
     progress : callable, optional
         Called in this process with the number of values done and of all values, both directions together.
 
@@ -63,13 +83,21 @@ def up_and_down(
     sweeps run here.
     """
     ordered = np.sort(np.ravel(np.asarray(values, dtype=float)))
-    settings = (quantity, method, start, transient, limit, recorded, tolerance, march)
+    settings = (quantity, load, one_integrator(integrator, method), start, transient, limit, recorded, tolerance, march)
     tasks = [task(system, parameter, v, *settings) for v in (ordered, ordered[::-1])]
-    up, down = run_all(tasks, workers, progress)
+    if len(tasks[0].starts) > 1:
+        raise ValueError("up_and_down: start must be one state; sweep takes one for each value")
+    if resume:
+        Path(resume).mkdir(parents=True, exist_ok=True)
+        files = (str(Path(resume) / f"{name}.nc") for name in ("up", "down"))
+        tasks = [replace(t, resume=f) for t, f in zip(tasks, files, strict=True)]
+    up, down = run_all(tasks, workers, progress, executor)
     return up, down
 
 
-def run_all(tasks: Sequence[SweepTask], workers: int = 2, progress: Progress | None = None) -> list[Sweep]:
+def run_all(
+    tasks: Sequence[SweepTask], workers: int = 2, progress: Progress | None = None, executor: Executor | None = None
+) -> list[Sweep]:
     """Run sweeps side by side; results in the order of the tasks, equal to those of running one after the other.
 
     Raises
@@ -79,7 +107,11 @@ def run_all(tasks: Sequence[SweepTask], workers: int = 2, progress: Progress | N
     """
     if workers < 1:
         raise ValueError(f"workers: expected at least 1, got {workers}")
+    if executor is not None:
+        return _run_with(executor, tasks, progress)
     if workers > 1 and len(tasks) > 1:
+        if all(t.integrator is None or isinstance(t.integrator, FixedStep) for t in tasks) and find_compiler():
+            return _run_in_threads(tasks, workers, progress)
         try:
             return _run_in_pool(tasks, workers, progress)
         except (OSError, BrokenProcessPool, AssertionError) as error:
@@ -91,10 +123,63 @@ def run_all(tasks: Sequence[SweepTask], workers: int = 2, progress: Progress | N
     return results
 
 
+def run_in_parts(whole: SweepTask, executor: Executor, progress: Progress | None) -> Sweep:
+    """Run a sweep whose values have a start each, 16 values at a time; with one start for all it stays whole."""
+    if len(whole.starts) == 1:
+        return _run_with(executor, [whole], progress)[0]
+    cuts = range(0, len(whole.values), _PART)
+    parts = [replace(whole, values=whole.values[i : i + _PART], starts=whole.starts[i : i + _PART]) for i in cuts]
+    return joined(_run_with(executor, parts, progress))
+
+
+def _run_with(executor: Executor, tasks: Sequence[SweepTask], progress: Progress | None) -> list[Sweep]:
+    futures = {executor.submit(_run_plain, t): t for t in tasks}
+    total, done = sum(len(t.values) for t in tasks), 0
+    try:
+        for future in as_completed(futures):
+            future.result()
+            done += len(futures[future].values)
+            if progress:
+                progress(done, total)
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        raise
+    return [future.result() for future in futures]
+
+
+def _run_plain(t: SweepTask) -> Sweep:
+    return t.run()
+
+
 def _shifted(progress: Progress | None, before: int, total: int) -> Progress | None:
     return None if progress is None else lambda done, _: progress(before + done, total)
 
 
+# -------------------------------------------------------------------------------------------- threads
+class _Stopped(Exception):
+    """The main thread wants no more values."""
+
+
+def _run_in_threads(tasks: Sequence[SweepTask], workers: int, progress: Progress | None) -> list[Sweep]:
+    """Run sweeps in threads; an interrupt ends them after the values they are at."""
+    stop, reports = threading.Event(), SimpleQueue[int]()
+
+    def between(done: int, total: int) -> None:
+        reports.put(done)
+        if stop.is_set():
+            raise _Stopped
+
+    with ThreadPoolExecutor(min(workers, len(tasks))) as pool:
+        futures = [pool.submit(t.run, between) for t in tasks]
+        try:
+            _follow(futures, reports, sum(len(t.values) for t in tasks), progress)
+        finally:
+            stop.set()  # where this point is reached without an error, all of them are done
+        return [f.result() for f in futures]
+
+
+# -------------------------------------------------------------------------------------------- processes
 def _run_in_pool(tasks: Sequence[SweepTask], workers: int, progress: Progress | None) -> list[Sweep]:
     # Spawned, not forked: the parent may run threads of numerical libraries, which a fork can leave locked.
     context = multiprocessing.get_context("spawn")
@@ -107,12 +192,13 @@ def _run_in_pool(tasks: Sequence[SweepTask], workers: int, progress: Progress | 
 
 def _follow(futures: list[Future], reports: Any, total: int, progress: Progress | None) -> None:
     done = 0
+    take: Callable[..., Any] = reports.get
     while not all(f.done() for f in futures):
         if progress is None:
-            wait(futures)
+            wait(futures, timeout=0.5)  # short, so that an interrupt is heard
             continue
         try:
-            reports.get(timeout=0.2)
+            take(timeout=0.2)
         except Empty:
             continue
         done += 1

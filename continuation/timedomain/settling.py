@@ -8,18 +8,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LARGEST_PERIOD = 16
+LARGEST_PERIOD = 64
+_BUNCH = 8  # periods between judgements
 _WINDOW = 16  # periods per half of the record in which decay is judged
 _NEAR = 3e-2  # differences over n periods, times n and over the scale, from which the map counts as near a cycle
 _NOISE = 1e-9  # differences that may be step selection and rounding
 _DECAYING = 0.9  # ratio of successive windows that makes it worth to sum the series
 _TIGHT = 0.01  # of the tolerance: length of the last correction on a smooth map
 _ROUGH = 10  # tolerances: length of the last correction where step selection at contacts makes the map rough
+_DIRECT = 16  # periods up to which the derivative of the map is always worth its cost
+_MEMORY = 4 * LARGEST_PERIOD  # periods looked back on
 _CONTRACTING = 0.997  # multipliers from differences of CVODES runs are good to about 1e-3
 _DIFFERENCE = 3e-4  # over the scale; the maps of CVODES with contact are smooth to 1e-8 or so
 
-PeriodMap = Callable[[np.ndarray], np.ndarray]
+Advance = Callable[[np.ndarray], np.ndarray]
 """State (n,) at phase 0 to the states (samples + 1, n) of one excitation period."""
+
+Ahead = Callable[[np.ndarray, int], np.ndarray]
+"""State at phase 0 and a number of periods to the states (number, samples + 1, n) of all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +42,15 @@ class Settled:
         States over one period of the response, or over the last recorded excitation periods when it does not repeat.
     state : ndarray (n,)
         State at phase 0 after the last period.
+    begin : ndarray (n,)
+        State at phase 0 where the waveform begins.
     """
 
     period: int
     periods_used: int
     waveform: np.ndarray
     state: np.ndarray
+    begin: np.ndarray
 
 
 class Settling:
@@ -57,6 +66,8 @@ class Settling:
         Value in the unit of the states that is added to the scale of every state.
     transient, limit, recorded : int
         Periods before the first judgement, periods at most, periods kept when the response does not repeat.
+    ahead : callable, optional
+        The same map over several periods in one call.
 
     Notes
     -----
@@ -64,12 +75,22 @@ class Settling:
     rest of their geometric series is below the tolerance. Or they decay, but slowly: then the derivative of the n-fold
     map is taken by finite differences. If all its multipliers lie inside the unit circle, Newton's method sums the
     series, starting near the cycle; the result is the limit of plain iteration. A cycle with a multiplier close to the
-    unit circle is left to plain iteration, so that a small period-2 split is never taken for period 1.
+    unit circle is left to plain iteration, so that a small period-2 split is never taken for period 1. For more than 16
+    periods the derivative is only taken where it costs less than the limit.
     """
 
     def __init__(
-        self, advance: PeriodMap, *, tolerance: float, floor: float, transient: int, limit: int, recorded: int
+        self,
+        advance: Advance,
+        *,
+        tolerance: float,
+        floor: float,
+        transient: int,
+        limit: int,
+        recorded: int,
+        ahead: Ahead | None = None,
     ) -> None:
+        self._ahead = ahead
         self.advance, self.tolerance, self.floor = advance, tolerance, floor
         self.transient, self.limit, self.recorded = max(transient, 2 * _WINDOW), limit, recorded
         self.used = 0
@@ -80,31 +101,47 @@ class Settling:
         strobe, sizes = [x], []
         waves: deque[np.ndarray] = deque(maxlen=max(self.recorded, 1))
         while self.used < self.limit:
-            waves.append(self._period(strobe[-1]))
-            strobe.append(waves[-1][-1])
-            sizes.append(abs(waves[-1]).max(axis=0))
-            if len(strobe) > self.transient and len(strobe) % (_WINDOW // 2) == 0:
+            for wave in self._periods(strobe[-1], self._bunch(len(strobe))):
+                waves.append(wave)
+                strobe.append(wave[-1])
+                sizes.append(abs(wave).max(axis=0))
+            if len(strobe) > self.transient and (len(strobe) % _BUNCH == 0 or self.used >= self.limit):
                 scale = np.max(sizes[-_WINDOW:], axis=0) + self.floor
-                found = self._judge(np.array(strobe[-4 * _WINDOW - 1 :]) / scale, strobe[-1], scale)
+                found = self._judge(np.array(strobe[-_MEMORY - 1 :]) / scale, strobe[-1], scale)
                 if found is not None:
                     return self._record(*found)
-        waveform = np.vstack([w[:-1] for w in waves])
-        return Settled(0, self.used, waveform, strobe[-1])
+        return Settled(0, self.used, np.vstack([w[:-1] for w in waves]), strobe[-1], waves[0][0])
 
-    def _period(self, x: np.ndarray) -> np.ndarray:
-        self.used += 1
-        return self.advance(x)
+    def _bunch(self, known: int) -> int:
+        """Return the number of periods up to the next judgement, or up to the limit."""
+        first = max(known + 1, self.transient + 1)
+        wanted = -(-first // _BUNCH) * _BUNCH - known
+        return min(wanted, self.limit - self.used)
+
+    def _periods(self, x: np.ndarray, count: int) -> list[np.ndarray]:
+        self.used += count
+        if self._ahead is not None:
+            return [*self._ahead(x, count)]
+        waves: list[np.ndarray] = []
+        for _ in range(count):
+            waves.append(self.advance(x))
+            x = waves[-1][-1]
+        return waves
 
     def _judge(self, strobe: np.ndarray, x: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray] | None:
         """Return the period number and a state on the cycle, for the smallest period that fits."""
-        for n in range(1, min(LARGEST_PERIOD, len(strobe) - 2 * _WINDOW) + 1):
+        largest = min(LARGEST_PERIOD, len(strobe) - 2 * _WINDOW)
+        late = strobe[-_WINDOW:]
+        last = np.lib.stride_tricks.sliding_window_view(strobe[-_WINDOW - largest : -1], _WINDOW, axis=0)
+        now_all = abs(last - late.T).max(axis=(1, 2))[::-1]  # entry n - 1: largest difference over n periods
+        candidates = 1 + np.flatnonzero(now_all <= _NEAR / np.arange(1, largest + 1))
+        for n in candidates.tolist():
             before, now = decay(strobe, n)
-            if now > _NEAR / n:
-                continue
             if now <= self.tolerance and _remaining(strobe, n, now, before) <= self.tolerance:
                 return n, x
             decaying = now < _DECAYING * before or now < _ROUGH * self.tolerance
-            if decaying and now < self._failed[n] / 4:
+            affordable = n <= _DIRECT or (len(x) + 3) * n <= self.limit
+            if decaying and affordable and now < self._failed[n] / 4:
                 self._failed[n] = now
                 return self._newton(n, x, scale)  # multiples of n decay as well and tell no more
         return None
@@ -140,9 +177,7 @@ class Settling:
         return next(fits, n)
 
     def _fold(self, n: int, x: np.ndarray) -> np.ndarray:
-        for _ in range(n):
-            x = self._period(x)[-1]
-        return x
+        return self._periods(x, n)[-1][-1]
 
     def _derivative(self, n: int, x: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Return the derivative (n, n) of the n-fold map in scaled states, by differences."""
@@ -151,11 +186,8 @@ class Settling:
         return np.column_stack([(s - base) / scale / _DIFFERENCE for s in shifted])
 
     def _record(self, n: int, x: np.ndarray) -> Settled:
-        parts = []
-        for _ in range(n):
-            parts.append(self._period(x))
-            x = parts[-1][-1]
-        return Settled(n, self.used, np.vstack([w[:-1] for w in parts]), x)
+        parts = self._periods(x, n)
+        return Settled(n, self.used, np.vstack([w[:-1] for w in parts]), parts[-1][-1], x)
 
 
 def decay(strobe: np.ndarray, n: int) -> tuple[float, float]:

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
-from continuation.errors import ContinuationError, nearest
+from continuation.errors import ContinuationError, UnsupportedModel, nearest
 from continuation.model.system import System
-from continuation.timedomain.cvodes import CVODES, DrivenModel
-from continuation.timedomain.settling import Settled, Settling
-from continuation.timedomain.sweep_result import FAILED, Sweep, describe_waveform
+from continuation.timedomain.cvodes import CVODES
+from continuation.timedomain.parts import Keeper
+from continuation.timedomain.period_map import Integrator, PeriodMap, period_map
+from continuation.timedomain.plain_system import PlainSystem
+from continuation.timedomain.recognition import Evidence, Witness
+from continuation.timedomain.settling import Settling
+from continuation.timedomain.sweep_result import FAILED, Sweep
+from continuation.timedomain.sweep_rows import Row, collect, failed_row, row_of
+
+__all__ = ["FAILED", "Progress", "Sweep", "SweepTask", "sweep", "task"]
 
 logger = logging.getLogger(__name__)
 
@@ -23,91 +34,129 @@ _FAR = 1e8
 Progress = Callable[[int, int], None]
 """Called with the number of values done and of all values."""
 
+Direction = Literal["given", "up", "down"]
+
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """Describe a sweep as plain data; running it gives the same result in any process.
+    """Describe a sweep as plain data; running it gives the same result in any thread or process.
 
-    Attributes are the arguments of :func:`sweep`, checked.
+    Attributes are the arguments of :func:`sweep`, checked; ``starts`` has one state per value, or just one.
     """
 
-    model: DrivenModel
-    method: CVODES
+    model: PlainSystem
+    integrator: Integrator | None
     parameter: str
     values: tuple[float, ...]
     quantity: str
-    start: tuple[float, ...]
+    load: str
+    starts: tuple[tuple[float, ...], ...]
     transient: int
     limit: int
     recorded: int
     tolerance: float
     march: str = ""
+    resume: str = ""
 
     def __post_init__(self) -> None:
-        for name, known in ((self.parameter, self.model.parameter_names), (self.quantity, self.model.state_names)):
-            if name not in known:
-                raise ValueError(f"sweep of {self.model.name!r}: unknown name {name!r}; {nearest(name, known)}")
+        model, names = self.model, [k for k, _ in self.model.parameters]
+        known = (*model.state_names, *model.output_names)
+        for name, options in ((self.parameter, names), (self.quantity, known), (self.load or known[0], known)):
+            if name not in options:
+                raise ValueError(f"sweep of {model.name!r}: unknown name {name!r}; {nearest(name, options)}")
         if not self.values or not np.all(np.isfinite(self.values)):
             raise ValueError(f"sweep: expected at least one value of {self.parameter!r}, all finite, got {self.values}")
-        if self.parameter == self.model.frequency and min(self.values) <= 0:
+        if self.parameter == model.frequency and min(self.values) <= 0:
             raise ValueError(f"sweep: frequency {self.parameter!r} must be positive, got {min(self.values):g}")
-        if len(self.start) != len(self.model.state_names):
-            raise ValueError(f"sweep: start needs {len(self.model.state_names)} states, got {len(self.start)}")
+        for start in self.starts:
+            if len(start) != len(model.state_names) or not np.all(np.isfinite(start)):
+                raise ValueError(f"sweep: start needs {len(model.state_names)} states, got {len(start)}, all finite")
+        if len(self.starts) not in (1, len(self.values)):
+            raise ValueError(f"sweep: expected 1 or {len(self.values)} states to start from, got {len(self.starts)}")
         for name in ("transient", "limit", "recorded", "tolerance"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"sweep: {name} must be positive, got {getattr(self, name)}")
+        if self.march and not isinstance(self.integrator, CVODES):
+            raise ValueError("sweep: march goes with integrator=CVODES(...); fixed steps are compiled without it")
+
+    @property
+    def fingerprint(self) -> str:
+        """Text that differs when any result could differ."""
+        plain = replace(self, resume="", march=self.march and "compiled")
+        return hashlib.sha256(repr(plain).encode()).hexdigest()
 
     def run(self, progress: Progress | None = None) -> Sweep:
-        """Go through the values in order; a value that fails is reported and the next begins from the first start."""
-        integrator = self.method.compile(self.model)
-        p = np.array(self.model.defaults)
-        index, column = self.model.parameter_names.index(self.parameter), self.model.state_names.index(self.quantity)
-        march = ca.external("march", self.march) if self.march else None
-        x, rows = np.array(self.start), []
-        for value in self.values:
-            p[index] = value
-            x = _approach(march, x, p) if march else x
-            settling = Settling(
-                lambda state: integrator.period(state, p),
-                tolerance=self.tolerance,
-                floor=self.method.atol / self.method.rtol,
-                transient=self.transient,
-                limit=self.limit,
-                recorded=self.recorded,
-            )
-            try:
-                settled = settling.run(x)
-                x, failure = settled.state, ""
-            except ContinuationError as error:
-                settled, failure = None, str(error)
-                x = np.array(self.start)
-                logger.warning("%s = %g: %s", self.parameter, value, failure)
-            rows.append((settled, settling.used, failure))
-            if progress:
-                progress(len(rows), len(self.values))
-        return self._collect(rows, column)
+        """Go through the values in order; a value that fails is reported and the next begins from the first start.
 
-    def _collect(self, rows: list[tuple[Settled | None, int, str]], column: int) -> Sweep:
-        fixed = dict(zip(self.model.parameter_names, self.model.defaults, strict=True))
-        del fixed[self.parameter]
-        nothing = np.full(len(self.model.state_names), np.nan)
-        statistics = np.array(
-            [describe_waveform(r.waveform[:, column], bool(r.period)) if r else (np.nan,) * 4 for r, _, _ in rows]
-        )
-        return Sweep(
-            system=self.model.name,
-            parameter=self.parameter,
-            quantity=self.quantity,
-            method=repr(self.method) + (f" after {_APPROACH} periods of compiled Runge-Kutta" if self.march else ""),
-            fixed=fixed,
-            state_names=self.model.state_names,
-            values=np.array(self.values),
-            **dict(zip(("rms", "mean", "minimum", "maximum"), statistics.T.copy(), strict=True)),
-            period=np.array([r.period if r else FAILED for r, _, _ in rows]),
-            periods_used=np.array([used for _, used, _ in rows]),
-            states=np.array([r.state if r else nothing for r, _, _ in rows]),
-            failures=tuple(text for _, _, text in rows),
-        )
+        With ``resume`` finished values are read from that file first and kept in it as the sweep goes on.
+        """
+        keeper = Keeper(Path(self.resume), self.fingerprint) if self.resume else None
+        before = keeper.load() if keeper else None
+        run, rows, known = _Run(self), [], 0 if before is None else len(before.values)
+        if before is not None and len(self.starts) == 1 and before.period[-1] != FAILED:
+            run.x = before.states[-1].copy()
+        try:
+            for i in range(known, len(self.values)):
+                rows.append(run.value(i))
+                if keeper:
+                    keeper.keep(lambda: collect(self, rows, before))
+                if progress:
+                    progress(known + len(rows), len(self.values))
+        finally:
+            if keeper and rows:
+                keeper.keep(lambda: collect(self, rows, before), now=True)
+        return collect(self, rows, before)
+
+
+class _Run:
+    """Carry the state of a sweep from value to value."""
+
+    def __init__(self, task: SweepTask) -> None:
+        self.task, self.system = task, task.model.system()
+        quantities = tuple(dict.fromkeys(q for q in (task.quantity, task.load) if q))
+        self.map: PeriodMap = period_map(self.system, task.integrator, quantities)
+        self.p = self.system.parameter_vector()
+        self.index = self.system.parameter_names.index(task.parameter)
+        self.march = ca.external("march", task.march) if task.march else None
+        self.x = np.array(task.starts[0])
+        self._witness: Witness | None = None
+
+    def value(self, i: int) -> Row:
+        """Settle at one value and describe what is there."""
+        task = self.task
+        self.p[self.index] = task.values[i]
+        if len(task.starts) > 1:
+            self.x = np.array(task.starts[i])
+        settling = None
+        try:
+            self.map.set(self.p)
+            x = _approach(self.march, self.x, self.p) if self.march else self.x
+            again = task.recorded if self.map.described_again else 0
+            settling = Settling(
+                lambda state: self.map.ahead(state, 1)[0],
+                tolerance=task.tolerance,
+                floor=self.map.floor,
+                transient=task.transient,
+                limit=max(task.limit - again, 1),
+                recorded=1 if again else task.recorded,
+                ahead=self.map.ahead,
+            )
+            settled = settling.run(x)
+            row = row_of(task, self.map, settled)
+            if not settled.period:
+                found = self._look(row.state)
+                row = replace(row, verdict=found.verdict, evidence=found)
+        except ContinuationError as error:
+            logger.warning("%s = %g: %s", task.parameter, task.values[i], error)
+            self.x = np.array(task.starts[0])
+            return failed_row(task, str(error), settling.used if settling else 0)
+        self.x = row.state
+        return row
+
+    def _look(self, x: np.ndarray) -> Evidence:
+        if self._witness is None:
+            self._witness = Witness(self.system)
+        return self._witness.look(x, self.p)
 
 
 def _approach(march: ca.Function, x: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -125,16 +174,21 @@ def sweep(
     values: Sequence[float] | np.ndarray,
     *,
     quantity: str,
+    load: str = "",
+    integrator: Integrator | None = None,
     method: CVODES | None = None,
     start: Sequence[float] | np.ndarray | None = None,
+    direction: Direction = "given",
     transient: int = 32,
     limit: int = 400,
     recorded: int = 64,
     tolerance: float = 1e-7,
     march: str = "",
+    executor: Executor | None = None,
+    resume: str | Path = "",
     progress: Progress | None = None,
 ) -> Sweep:
-    """Compute the brute-force response over parameter values in the given order.
+    """Compute the brute-force response over parameter values.
 
     Parameters
     ----------
@@ -143,37 +197,53 @@ def sweep(
     parameter : str
         Parameter to sweep; the others keep the System's defaults.
     values : array (k,)
-        Increasing for a sweep up, decreasing for a sweep down.
+        In the order of the sweep, unless a direction is chosen.
     quantity : str
-        State that rms, mean and extremes describe.
+        State or output that rms, mean, extremes and harmonics describe.
+    load : str
+        State or output whose largest over mean value is the dynamic factor; none when empty.
+    integrator : FixedStep, CVODES or EventExact, optional
+        When absent, fixed steps of order 4, as many as the System needs at each value.
     method : CVODES, optional
-        Integrator settings.
-    start : array (n,), optional
-        State at phase 0 before the first value, and again after a failure; zeros when absent.
+        Older name of ``integrator``.
+    start : array (n,) or (k, n), optional
+        State at phase 0 before the first value, and again after a failure; zeros when absent. With one state for each
+        value, in the order of ``values``, every value starts from its own: nothing is carried over.
+    direction : {"given", "up", "down"}
+        Sort the values first.
     transient, limit : int
         Excitation periods per value at least and, when the response is not recognised as periodic, about at most.
+        With ``transient=300, recorded=100, limit=400`` every value takes 300 periods and is judged once.
     recorded : int
         Excitation periods the statistics describe when the response is not recognised as periodic.
     tolerance : float
         Distance to the periodic response, over the largest value of each state, at which it counts as settled.
     march : str
-        Library of :func:`~continuation.model.compiled.compiled_march`: every value then begins with 50 periods in
-        compiled code, and CVODES, which decides, has less to do. Empty: CVODES alone.
+        Library of :func:`~continuation.model.compiled.compiled_march` for CVODES: every value then begins with 50
+        periods in compiled code, and CVODES, which decides, has less to do. Empty: CVODES alone.
+    executor : concurrent.futures.Executor, optional
+        Runs parts of 16 values side by side when every value has its own start; results do not depend on it.
+    resume : str or Path
+        netCDF file that keeps finished values, every 5 seconds and when interrupted; a rerun with the same arguments
+        goes on there. Not with an executor.
     progress : callable, optional
         Called with the number of values done and of all values.
 
     Raises
     ------
     ValueError
-        If a name is unknown or a number is out of range.
+        If a name is unknown, a number is out of range, or the file to resume belongs to another sweep.
     UnsupportedModel
         If the System is autonomous.
 
     Notes
     -----
-    A response is called period-n when it repeats after n = 1 to 16 excitation periods (see
-    :class:`~continuation.timedomain.settling.Settling`); "not recognised" says no more than that. The mean over
-    equidistant samples of a periodic waveform errs with the 4th power of their spacing with contact, else much less.
+    A response is called period-n when it repeats after n = 1 to 64 excitation periods (see
+    :class:`~continuation.timedomain.settling.Settling`). What does not is looked at more closely
+    (:class:`~continuation.timedomain.recognition.Witness`): "quasi-periodic" and "chaotic" carry their evidence, and
+    "not recognised" says no more than that. With CVODES and EventExact statistics are means over 64 equidistant samples
+    per period, which err with the 4th power of their spacing with contact, else much less. A value at which the
+    integration fails is named in ``failures`` with time, state and parameters, and the rest goes on.
 
     Examples
     --------
@@ -185,8 +255,36 @@ def sweep(
     >>> up.period.tolist(), [round(float(r), 7) for r in up.rms]        # 1/abs(1 - omega^2 + 0.2i omega)/sqrt(2)
     ([1, 1], [0.9345386, 0.2336347])
     """
-    settings = (quantity, method, start, transient, limit, recorded, tolerance, march)
-    return task(system, parameter, values, *settings).run(progress)
+    chosen = one_integrator(integrator, method)
+    given, begin = _ordered(system, values, start, direction)
+    settings = (quantity, load, chosen, begin, transient, limit, recorded, tolerance, march, str(resume))
+    whole = task(system, parameter, given, *settings)
+    if executor is None:
+        return whole.run(progress)
+    if resume:
+        raise ValueError("sweep: resume can't be combined with an executor")
+    from continuation.timedomain.parallel import run_in_parts
+
+    return run_in_parts(whole, executor, progress)
+
+
+def one_integrator(integrator: Integrator | None, method: CVODES | None) -> Integrator | None:
+    """Return the integrator from its name and its older name; both together raise ValueError."""
+    if integrator is not None and method is not None:
+        raise ValueError("sweep: integrator and method are two names of one argument; expected one of them")
+    return method if integrator is None else integrator
+
+
+def _ordered(
+    system: System, values: Sequence[float] | np.ndarray, start: Sequence[float] | np.ndarray | None, direction: str
+) -> tuple[np.ndarray, np.ndarray]:
+    given = np.ravel(np.asarray(values, dtype=float))
+    begin = np.zeros(len(system.state_names)) if start is None else np.asarray(start, dtype=float)
+    if direction not in ("given", "up", "down"):
+        raise ValueError(f"sweep: direction must be 'given', 'up' or 'down', got {direction!r}")
+    order = np.arange(len(given)) if direction == "given" else np.argsort(given, kind="stable")
+    order = order[::-1] if direction == "down" else order
+    return given[order], begin[order] if begin.ndim == 2 and len(begin) == len(given) else begin
 
 
 def task(
@@ -194,16 +292,26 @@ def task(
     parameter: str,
     values: Sequence[float] | np.ndarray,
     quantity: str,
-    method: CVODES | None,
+    load: str,
+    integrator: Integrator | None,
     start: Sequence[float] | np.ndarray | None,
     transient: int,
     limit: int,
     recorded: int,
     tolerance: float,
     march: str = "",
+    resume: str = "",
 ) -> SweepTask:
     """Return the plain description of a sweep; arguments as for :func:`sweep`."""
+    if system.frequency is None:
+        raise UnsupportedModel(
+            f"system {system.name!r} is autonomous and has no excitation period to integrate over; "
+            "only models with a phase are treated here"
+        )
     begin = np.zeros(len(system.state_names)) if start is None else np.asarray(start, dtype=float)
-    model, plain = DrivenModel.of(system), tuple(float(v) for v in np.ravel(values))
-    settings = (quantity, tuple(begin.tolist()), transient, limit, recorded, tolerance, march)
-    return SweepTask(model, method or CVODES(), parameter, plain, *settings)
+    starts = tuple(tuple(row) for row in np.atleast_2d(begin).tolist())
+    plain = tuple(float(v) for v in np.ravel(values))
+    if march and integrator is None:
+        integrator = CVODES()  # the march is there for it alone
+    settings = (quantity, load, starts, transient, limit, recorded, tolerance, march, resume)
+    return SweepTask(PlainSystem.of(system), integrator, parameter, plain, *settings)
