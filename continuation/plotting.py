@@ -11,10 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from continuation.branches.branch import Branch, Kind, SpecialPoint
+from continuation.branches.branch import CRITICAL, Branch, Kind, SpecialPoint
 from continuation.orbits.orbit import Orbit, Stability
 
 if TYPE_CHECKING:
+    from continuation.branches.tracked import Curve
     from continuation.timedomain.sweep import Sweep
 
 LINE_STYLE: dict[Stability, str] = {"stable": "-", "unstable": "--", "undecided": ":"}
@@ -24,6 +25,18 @@ MARKER: dict[Kind, str] = {
     "neimark-sacker": "D",
     "branch-point": "P",
     "grazing": "X",
+    "user": "*",
+}
+CURVE_STYLE: dict[str, str] = {"fold": "-", "period-doubling": "--", "neimark-sacker": "-.", "grazing": ":"}
+CURVE_MARKER: dict[str, str] = {
+    "extremum": ".",
+    "cusp": "v",
+    "generalised-doubling": "o",
+    "fold-flip": "*",
+    "1:1": "$1$",
+    "1:2": "$2$",
+    "1:3": "$3$",
+    "1:4": "$4$",
 }
 SWEEP_MARKER: dict[str, tuple[str, Literal["full", "none"]]] = {"up": (".", "full"), "down": ("o", "none")}
 """Marker and fill of a sweep; where both agree a dot lies inside a circle."""
@@ -136,6 +149,33 @@ def plot_branch(
     return ax
 
 
+def plot_curve(curve: Curve, *, ax: Axes | None = None, colour: str = "black", label: str | None = None) -> Axes:
+    """Draw a tracked special point in the plane of its two parameters, with its points of codimension two.
+
+    Parameters
+    ----------
+    curve : Curve
+    ax : matplotlib Axes, optional
+        Where to draw; a new figure when absent.
+    colour : str
+        Colour of line and markers.
+    label : str, optional
+        Name of the curve in a legend.
+
+    Returns
+    -------
+    matplotlib Axes
+    """
+    ax = new_axes() if ax is None else ax
+    ax.plot(*curve.values.T, CURVE_STYLE.get(curve.kind, "-"), color=colour, linewidth=1.2, label=label, gid=curve.kind)
+    for point in curve.points:
+        (marks,) = ax.plot(*point.parameters, linestyle="none", color=colour, gid=point.kind)
+        marks.set(marker=CURVE_MARKER[point.kind], markersize=6, markerfacecolor="white", zorder=4)
+    ax.set_xlabel(curve.parameters[0])
+    ax.set_ylabel(curve.parameters[1])
+    return ax
+
+
 def sweep_direction(sweep: Sweep) -> str:
     """Return "up" for a sweep in the order of increasing values, else "down"."""
     return "up" if sweep.values[-1] >= sweep.values[0] else "down"
@@ -187,7 +227,10 @@ def _pieces(branch: Branch, i: int) -> list[Piece]:
     if not points:
         return [(before, after, _between(before.stability, after.stability))]
     nodes = [before, *(p.orbit for p in points), after]
-    verdicts = [before.stability, *_inside(before, points), after.stability]
+    if not any(CRITICAL[p.kind] for p in points):
+        verdicts = [_between(before.stability, after.stability)] * (len(points) + 1)
+    else:
+        verdicts = [before.stability, *_inside(before, points), after.stability]
     return list(zip(nodes[:-1], nodes[1:], verdicts, strict=True))
 
 
@@ -205,7 +248,7 @@ def _inside(before: Orbit, points: Sequence[SpecialPoint]) -> list[Stability]:
     count = int(np.sum(np.abs(before.multipliers) > 1))
     verdicts: list[Stability] = []
     for point in points[:-1]:
-        critical = {"grazing": 0, "neimark-sacker": 2}.get(point.kind, 1)
+        critical = CRITICAL[point.kind]
         outside = np.abs(np.abs(point.multipliers) - 1)
         others = np.delete(np.abs(point.multipliers), np.argsort(outside)[:critical])
         if critical:

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from continuation.branches.branch import SCHEMA, Branch, Kind, SpecialPoint
+from continuation.form_storage import form_variables, load_form
 from continuation.netcdf import about, flags, pairs, read_dataset, unpaired, write_dataset
 from continuation.orbits.orbit import Orbit, Stability
 
@@ -84,7 +85,7 @@ def save_branch(branch: Branch, path: str | Path) -> None:
     ...     load_branch(f"{folder}/branch.nc").rms("x").tolist() == branch.rms("x").tolist()
     True
     """
-    write_dataset(_dataset(branch), path)
+    write_dataset(branch_dataset(branch), path)
 
 
 def load_branch(path: str | Path) -> Branch:
@@ -99,7 +100,7 @@ def load_branch(path: str | Path) -> Branch:
     """
     data = read_dataset(path, FORMAT, SCHEMA)
     try:
-        orbits = _orbits(data, "", "point")
+        orbits = branch_orbits(data)
         at_points = _orbits(data, "special_", "special_point")
         points = [_special_point(data, i, orbit) for i, orbit in enumerate(at_points)]
         return Branch(
@@ -115,7 +116,8 @@ def load_branch(path: str | Path) -> Branch:
 
 
 # -------------------------------------------------------------------------------------------- writing
-def _dataset(branch: Branch) -> xr.Dataset:
+def branch_dataset(branch: Branch) -> xr.Dataset:
+    """Return a branch as a dataset; raises ValueError if it is empty or of several systems."""
     if not branch.orbits:
         raise ValueError("branch without orbits: expected at least one orbit to save")
     first, points = branch.orbits[0], branch.special_points
@@ -131,6 +133,7 @@ def _dataset(branch: Branch) -> xr.Dataset:
         **_contact_variables(branch.orbits, "", "point", longest, first),
         **_contact_variables(at_points, "special_", "special_point", longest, first),
         **_point_variables(points),
+        **form_variables(points, len(first.state_names)),
         "parameter": ("point", branch.parameter, about(first.parameter, "units of the system")),
     }
     coordinates = {
@@ -232,6 +235,11 @@ def _json(values: Mapping[str, Any]) -> str:
 
 
 # -------------------------------------------------------------------------------------------- reading
+def branch_orbits(data: xr.Dataset) -> list[Orbit]:
+    """Return the orbits of a dataset that :func:`branch_dataset` made."""
+    return _orbits(data, "", "point")
+
+
 def _orbits(data: xr.Dataset, prefix: str, dimension: str) -> list[Orbit]:
     names = tuple(str(s) for s in data["state"].values)
     keys = [str(k) for k in data["parameter_name"].values]
@@ -276,4 +284,5 @@ def _special_point(data: xr.Dataset, i: int, orbit: Orbit) -> SpecialPoint:
         index=int(data["special_index"].values[i]),
         status=_STATUS[int(data["special_status"].values[i])],
         note=str(data["special_note"].values[i]),
+        form=load_form(data, i),
     )

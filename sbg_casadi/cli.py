@@ -94,6 +94,10 @@ def response(
         float, typer.Option(metavar="WIDTH", help="Width of the smoothed backlash law in half backlashes; 0 is exact.")
     ] = 0.0,
     state: StateOption = None,
+    tree: Annotated[
+        int,
+        typer.Option(metavar="DEPTH", help="Also branches that leave: 1 adds period 2, 2 period 4, and so on."),
+    ] = 0,
     reading: ReadingOption = "consistent",
     json_file: JsonOption = None,
     out: OutOption = None,
@@ -117,6 +121,7 @@ def response(
             json_file=json_file,
             out=out,
             console=new_console(),
+            tree=tree,
         )
         raise typer.Exit(code)
 
@@ -173,6 +178,163 @@ def stability(
             branch=branch,
             start=start,
             stop=stop,
+            state=state,
+            reading=rows,
+            json_file=json_file,
+            out=out,
+            console=new_console(),
+        )
+        raise typer.Exit(code)
+
+
+@app.command()
+def sweep(
+    pair: PairArgument,
+    points: Annotated[int, typer.Option(metavar="N", help="Number of frequencies.")] = 201,
+    start: FromOption = None,
+    stop: ToOption = None,
+    with_response: Annotated[
+        bool, typer.Option("--with-response", help="Also trace the period-1 response and draw it over the sweeps.")
+    ] = False,
+    transient: Annotated[int, typer.Option(metavar="N", help="Mesh periods per frequency at least.")] = 32,
+    limit: Annotated[int, typer.Option(metavar="N", help="Mesh periods per frequency at most.")] = 400,
+    recorded: Annotated[int, typer.Option(metavar="N", help="Mesh periods recorded where nothing repeats.")] = 100,
+    state: StateOption = None,
+    reading: ReadingOption = "consistent",
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Sweep the frequency up and down in the time domain: bifurcation diagram, RMS, what does not repeat."""
+    with guarded():
+        check_range(start, stop)
+        from sbg_casadi.reading import parse_reading
+
+        rows = parse_reading(reading)
+        from sbg_casadi.sweep_study import SweepSettings, run_sweep
+
+        code = run_sweep(
+            pair,
+            start=start,
+            stop=stop,
+            settings=SweepSettings(points, transient, limit, recorded),
+            with_response=with_response,
+            state=state,
+            reading=rows,
+            json_file=json_file,
+            out=out,
+            console=new_console(),
+        )
+        raise typer.Exit(code)
+
+
+@app.command()
+def section(
+    pair: PairArgument,
+    at: Annotated[float, typer.Option("--at", metavar="RATIO", help="Frequency ratio omega_m/omega_n.")],
+    start: Annotated[
+        float | None,
+        typer.Option("--from", metavar="RATIO", help="Follow the response from this ratio; default: static state."),
+    ] = None,
+    state: StateOption = None,
+    reading: ReadingOption = "consistent",
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Look at one response in the time domain: Poincare map, phase portrait, spectrum, Lyapunov exponents."""
+    with guarded():
+        from sbg_casadi.reading import parse_reading
+
+        rows = parse_reading(reading)
+        from sbg_casadi.section_study import run_section
+
+        code = run_section(
+            pair,
+            at=at,
+            start=start,
+            state=state,
+            reading=rows,
+            json_file=json_file,
+            out=out,
+            console=new_console(),
+        )
+        raise typer.Exit(code)
+
+
+@app.command()
+def basins(
+    pair: PairArgument,
+    at: Annotated[float, typer.Option("--at", metavar="RATIO", help="Frequency ratio omega_m/omega_n.")],
+    grid: Annotated[int, typer.Option(metavar="N", help="Cells along each of the two coordinates.")] = 50,
+    random: Annotated[
+        int | None, typer.Option("--random", metavar="N", help="Number of random states instead of a grid.")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the random states.")] = 0,
+    axis: Annotated[
+        list[str] | None,
+        typer.Option("--axis", metavar="NAME=LOW:HIGH", help="A coordinate that varies; give two."),
+    ] = None,
+    state: StateOption = None,
+    reading: ReadingOption = "consistent",
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Find the attractors at one frequency and the share of states that go to each."""
+    with guarded():
+        from sbg_casadi.reading import parse_reading
+
+        rows = parse_reading(reading)
+        from sbg_casadi.basins_study import BasinsSettings, run_basins
+
+        code = run_basins(
+            pair,
+            at=at,
+            settings=BasinsSettings(grid, random, seed, tuple(axis or ())),
+            state=state,
+            reading=rows,
+            json_file=json_file,
+            out=out,
+            console=new_console(),
+        )
+        raise typer.Exit(code)
+
+
+@app.command(name="map")
+def map_(
+    pair: PairArgument,
+    over: Annotated[
+        str,
+        typer.Option(metavar="QUANTITY", help="modification, torque, damping, backlash or fluctuation."),
+    ],
+    start: FromOption = None,
+    stop: ToOption = None,
+    least: Annotated[
+        float | None, typer.Option(metavar="VALUE", help="Least value of the quantity; default depends on it.")
+    ] = None,
+    most: Annotated[float | None, typer.Option(metavar="VALUE", help="Largest value of the quantity.")] = None,
+    grid: Annotated[
+        tuple[int, int], typer.Option(metavar="K M", help="Frequencies and values of the grid of attractors.")
+    ] = (60, 20),
+    state: StateOption = None,
+    reading: ReadingOption = "consistent",
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Map folds, doublings, torus points and attractors; beyond which modification nothing doubles. Resumes."""
+    with guarded():
+        check_range(start, stop)
+        from sbg_casadi.reading import parse_reading
+
+        rows = parse_reading(reading)
+        from sbg_casadi.map_study import run_map
+
+        code = run_map(
+            pair,
+            over=over,
+            start=start,
+            stop=stop,
+            least=least,
+            most=most,
+            shape=grid,
             state=state,
             reading=rows,
             json_file=json_file,

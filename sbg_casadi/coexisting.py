@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from continuation.branches.branch import Branch, SpecialPoint
+from continuation.branches.branch import CRITICAL, Branch, SpecialPoint
 from continuation.errors import ContinuationError
 from continuation.orbits.orbit import Orbit, Stability
 
 _SLACK = 1e-3  # of a piece of the branch, by which a solved orbit may lie outside it
-_CRITICAL = {"grazing": 0, "neimark-sacker": 2}  # multipliers that cross the unit circle; 1 for the other kinds
 
 Node = Orbit | SpecialPoint
 
@@ -212,6 +211,7 @@ def _changes(orbit: Orbit, way: Sequence[Node]) -> Iterator[Change]:
     """Yield the changes along a way from an orbit; the number of unstable multipliers is counted along it."""
     count, last, around = _unstable(orbit), orbit.value, False
     explained = False  # whether a special point was met since the last decided orbit
+    way = [n for n in way if not isinstance(n, SpecialPoint) or CRITICAL[n.kind]]  # no stability changes at grazing
     for node, following in pairwise([*way, None]):
         if isinstance(node, SpecialPoint):
             after = _unstable(following) if isinstance(following, Orbit) else None
@@ -231,7 +231,7 @@ def _count_behind(point: SpecialPoint, count: int | None) -> int | None:
 
     None when the count before is unknown or is none of the two.
     """
-    critical = _CRITICAL.get(point.kind, 1)
+    critical = CRITICAL[point.kind]
     size = np.abs(point.multipliers)
     others = int(np.sum(np.delete(size, np.argsort(np.abs(size - 1))[:critical]) > 1))
     return {others: others + critical, others + critical: others}.get(count) if count is not None else None

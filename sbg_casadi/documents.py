@@ -10,6 +10,7 @@ from typing import Any
 from scipy.signal import find_peaks
 
 from continuation.branches.branch import Branch, SpecialPoint, leading
+from continuation.branches.explore import Tree
 from sbg_casadi.pair import Pair
 
 SCHEMA = 1
@@ -30,6 +31,42 @@ def response_document(branch: Branch, pair: Pair, state: str, smoothing: float, 
         "state": state,
         "smoothing": smoothing,
         "branches": [branch_document(branch, None if pair.derived is None else pair.derived.unit_ratio_rpm, stop)],
+    }
+
+
+def tree_document(tree: Tree, pair: Pair, state: str, smoothing: float, span: tuple[float, float]) -> dict[str, Any]:
+    """Return the JSON-ready document of a response with the branches that leave it.
+
+    Every branch has ``number``, ``parent`` (None for the first) and ``leaves_at``, the special point of the parent;
+    ``links`` lists special points that lead to a branch known already, ``notes`` what was not followed.
+    """
+    rpm = None if pair.derived is None else pair.derived.unit_ratio_rpm
+    branches = []
+    for number, limb in enumerate(tree.limbs):
+        document = branch_document(limb.branch, rpm, span[1])
+        if number:  # such a branch may end anywhere at either end of the range, at its parent, or in itself
+            document["complete"] = all(
+                part.startswith(("reached", "met the branch", "closed")) for part in limb.branch.stop.split("; ")
+            )
+        leaves = None if limb.point is None else {"kind": limb.point.kind, "frequency_ratio": limb.point.parameter}
+        branches.append({"number": number, "parent": limb.parent, "leaves_at": leaves} | document)
+    return {
+        "schema": SCHEMA,
+        "pair": pair.name,
+        "state": state,
+        "smoothing": smoothing,
+        "branches": branches,
+        "links": [
+            {
+                "branch": k.number,
+                "kind": k.point.kind,
+                "frequency_ratio": k.point.parameter,
+                "target": k.target,
+                "likeness": k.likeness,
+            }
+            for k in tree.links
+        ],
+        "notes": list(tree.notes),
     }
 
 

@@ -19,6 +19,8 @@ CASE, STATE, SPAN = "iso-f2", "before", (0.3, 2.6)
 ADDED_ERROR = (0.05, 0.03)
 """Cosine and sine of the first harmonic of e in half backlashes (assumed); rows 2 and 3 change nothing without."""
 
+_NAMES = {"fold": "folds", "period-doubling": "PD", "neimark-sacker": "torus"}
+
 
 @dataclass(frozen=True, slots=True)
 class Effect:
@@ -97,7 +99,7 @@ def measure(reading: Reading, *, added_error: bool = False, span: tuple[float, f
     -------
     Measurement
         Peak RMS of lambda about its mean among the traced orbits (half backlashes), and (kind, frequency ratio) of
-        the located special points in rising order.
+        the located folds, period-doublings and torus points in rising order.
     """
     from sbg_casadi.pair import load_pair
     from sbg_casadi.response import trace_response
@@ -107,7 +109,8 @@ def measure(reading: Reading, *, added_error: bool = False, span: tuple[float, f
         cosine, sine = ADDED_ERROR
         d = replace(d, error_cosine=(cosine,), error_sine=(sine,))
     _, branch = trace_response(d, span, reading=reading)
-    located = [(p.kind, round(p.parameter, 7)) for p in branch.special_points if p.status == "located"]
+    points = [p for p in branch.special_points if p.status == "located" and p.kind in _NAMES]
+    located = [(p.kind, round(p.parameter, 7)) for p in points]
     return Measurement(round(float(branch.rms("lambda").max()), 5), tuple(sorted(located, key=lambda p: p[1])))
 
 
@@ -155,9 +158,8 @@ def ledger_table() -> Table:
 
 
 def _points(measurement: Measurement) -> str:
-    names = {"fold": "folds", "period-doubling": "PD", "neimark-sacker": "torus"}
     kinds = dict.fromkeys(kind for kind, _ in measurement.points)
-    parts = [f"{names.get(k, k)} {_ratios([v for kind, v in measurement.points if kind == k])}" for k in sorted(kinds)]
+    parts = [f"{_NAMES.get(k, k)} {_ratios([v for kind, v in measurement.points if kind == k])}" for k in sorted(kinds)]
     return ", ".join(parts) or "no special point"
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from continuation import Branch, ContinuationError, HarmonicBalance, Orbit, SpecialPoint, trace, track
+from continuation.branches.codimension_two import CurvePoint
 from continuation.branches.explore import explore
 from sbg_casadi.documents import STATE, is_complete
 from sbg_casadi.map_parameters import Varied
@@ -22,8 +23,9 @@ TRACKED = (("fold", 1), ("period-doubling", 1), ("period-doubling", 2), ("neimar
 
 _OFF = 0.35  # of the distance of neighbouring points of a curve, up to which a located point lies on it
 _SLACK = 1e-6  # the same, absolute
-_STEPS = 30  # steps of the largest length over the range of the quantity
-_MOST = 600  # points of a curve
+_STEPS = 15  # steps of the largest length over the range of the quantity
+_BEYOND = 0.2  # of the band on both sides of it, up to which curves are followed
+_MOST = {1: 400, 2: 80}  # points of a curve, by period multiple; those of period 2 cost several times as much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +44,10 @@ class MapCurve:
         Where it was found.
     stop : str
         Why it ends, a sentence.
+    special_points : tuple of CurvePoint
+        Extrema of the quantity along the curve and points of codimension two, their second parameter as shown.
+    notes : tuple of str
+        What was not looked for along it.
     """
 
     kind: str
@@ -50,6 +56,8 @@ class MapCurve:
     orbits: tuple[Orbit, ...]
     origin: str
     stop: str
+    special_points: tuple[CurvePoint, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def signature(self) -> np.ndarray:
@@ -119,7 +127,7 @@ def slice_values(varied: Varied, span: tuple[float, float], checks: int) -> tupl
     >>> from sbg_casadi import load_pair
     >>> from sbg_casadi.map_parameters import vary
     >>> slice_values(vary(load_pair("iso-f2"), "modification", None, frozenset()), (0.0, 1.5), 2)
-    ([0.0, 1.0, 1.5], [0.5, 1.25])
+    ([0.0, 1.0, 1.5], [0.25, 0.5])
     """
     low, high = span
     given = (0.0, 1.0) if varied.name == "modification" else (1.0,) if varied.name == "fluctuation" else ()
@@ -171,7 +179,7 @@ def find_curves(
         for i, point in enumerate(one.points):
             if one.curves[i] is None:
                 report(done, f"{varied.name} {value:g}: {point.kind} at {point.parameter:.4f}")
-                _follow(found, varied, one, i, span)
+                _follow(found, varied, one, i, band, span)
     if not found.slices:
         raise ContinuationError("; ".join(found.failures))
     return found
@@ -179,7 +187,8 @@ def find_curves(
 
 def problem_at(varied: Varied, value: float) -> Any:
     """Return the harmonic-balance problem in the frequency ratio at a value shown."""
-    return HarmonicBalance().discretise(varied.system, PARAMETER, **{varied.parameter: varied.inner(value)})
+    values: dict[str, Any] = {varied.parameter: varied.inner(value)}
+    return HarmonicBalance().discretise(varied.system, PARAMETER, **values)
 
 
 def trace_slice(varied: Varied, value: float, band: tuple[float, float], *, doubled: bool) -> Slice:
@@ -239,20 +248,24 @@ def signature(orbit: Orbit, frequency: float) -> np.ndarray:
     return np.array([frequency, orbit.rms(STATE), float(orbit.coefficients[0, orbit.index(STATE)].real)])
 
 
-def _follow(found: Curves, varied: Varied, one: Slice, i: int, span: tuple[float, float]) -> None:
+def _follow(
+    found: Curves, varied: Varied, one: Slice, i: int, band: tuple[float, float], span: tuple[float, float]
+) -> None:
     """Track a point of a slice and give all points of it that lie on the curve its number."""
     point = one.points[i]
     where = f"{point.kind} at {point.parameter:.6f}, {varied.name} {one.value:.6g}"
     if point.orbit.period_multiple > 1:
         where += f", period {point.orbit.period_multiple}"
     low, high = sorted(varied.inner(v) for v in span)
+    first, last = sorted(band)
+    room = _BEYOND * (last - first)
     try:
         curve = track(
             point,
             parameters=(PARAMETER, varied.parameter),
-            span={varied.parameter: (low, high)},
+            span={PARAMETER: (max(first - room, first / 2), last + room), varied.parameter: (low, high)},
             max_step=(high - low) / _STEPS,
-            max_points=_MOST,
+            max_points=_MOST[point.orbit.period_multiple],
         )
     except (ContinuationError, ValueError) as error:
         found.failures.append(f"{where}: could not be tracked: {error}")
@@ -260,7 +273,17 @@ def _follow(found: Curves, varied: Varied, one: Slice, i: int, span: tuple[float
     if "interrupted" in curve.stop:
         raise KeyboardInterrupt(curve.stop)
     shown = curve.values * [1.0, varied.factor]
-    new = MapCurve(point.kind, point.orbit.period_multiple, shown, curve.orbits, where, curve.stop)
+    shown[:, 1] = np.clip(shown[:, 1], *span) + 0.0  # the last point is there up to rounding
+    scale = abs(varied.factor)
+    special = tuple(
+        replace(
+            c, parameters=(c.parameters[0], c.parameters[1] * varied.factor), error=(c.error[0], c.error[1] * scale)
+        )
+        for c in curve.points
+    )
+    new = MapCurve(
+        point.kind, point.orbit.period_multiple, shown, curve.orbits, where, curve.stop, special, curve.notes
+    )
     number = _same(found.curves, new)
     if number is None:
         found.curves.append(new)

@@ -59,7 +59,12 @@ class Grid:
         shape = 2, len(values), len(frequencies)
         verdict = np.full(shape, VERDICTS.index("not computed"), dtype=np.int8)
         return cls(
-            np.sort(frequencies), values, verdict, np.zeros(shape, dtype=int), np.full(shape, np.nan), np.full(shape, np.nan)
+            np.sort(frequencies),
+            values,
+            verdict,
+            np.zeros(shape, dtype=int),
+            np.full(shape, np.nan),
+            np.full(shape, np.nan),
         )
 
     @property
@@ -83,7 +88,11 @@ class Grid:
 
         axes = ("direction", "value", "frequency")
         data = {
-            "verdict": (axes, self.verdict, {"long_name": "attractor"} | flags([v.replace(" ", "_") for v in VERDICTS])),
+            "verdict": (
+                axes,
+                self.verdict,
+                {"long_name": "attractor"} | flags([v.replace(" ", "_") for v in VERDICTS]),
+            ),
             "period": (axes, self.period, about("mesh periods after which the response repeats", "1")),
             "rms": (axes, self.rms, about("root mean square of lambda about its mean", "half backlash")),
             "exponent": (axes, self.exponent, about("largest Lyapunov exponent", "omega_n")),
@@ -137,7 +146,9 @@ def _code(verdict: str) -> int:
 
 
 def _plain(values: np.ndarray) -> list[Any]:
-    return np.where(np.isfinite(values), values.astype(object), None).tolist()
+    out = values.astype(object)
+    out[~np.isfinite(values)] = None
+    return out.tolist()
 
 
 def fill(

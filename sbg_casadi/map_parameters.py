@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from itertools import zip_longest
+from typing import Any
 
 import casadi as ca
 
@@ -124,7 +125,9 @@ def _modification(pair: Pair, state: str | None, reading: Reading) -> Varied:
     label = "amount of modification (0 before, 1 after)"
 
     def at(amount: float) -> Dimensionless:
-        series = {name: _mixed(amount, getattr(before, name), getattr(after, name)) for name in _HARMONICS}
+        series: dict[str, Any] = {
+            name: _mixed(amount, getattr(before, name), getattr(after, name)) for name in _HARMONICS
+        }
         return replace(before, state=f"modification {amount:g}", **series)
 
     return Varied("modification", system, "modification", label, 1.0, "", (0.0, 1.5), before, at)
@@ -184,7 +187,9 @@ def _backlash(pair: Pair, d: Dimensionless, reading: Reading) -> Varied:
     def at(shown: float) -> Dimensionless:
         if not shown > 0:
             raise PairError(f"pair {d.name!r}: backlash {shown:g}; expected a positive backlash")
-        series = {name: _scaled(full / shown, getattr(d, name)) for name in ("error_cosine", "error_sine")}
+        series: dict[str, Any] = {
+            name: _scaled(full / shown, getattr(d, name)) for name in ("error_cosine", "error_sine")
+        }
         return replace(d, torque=d.torque * full / shown, **series)
 
     return Varied("backlash", system, "backlash", label, full, unit, (full / 4, 4 * full), d, at)
@@ -199,7 +204,9 @@ def _fluctuation(pair: Pair, d: Dimensionless, reading: Reading) -> Varied:
     label = "fluctuation of the mesh stiffness over the given one"
 
     def at(shown: float) -> Dimensionless:
-        series = {name: _scaled(shown, getattr(d, name)) for name in ("stiffness_cosine", "stiffness_sine")}
+        series: dict[str, Any] = {
+            name: _scaled(shown, getattr(d, name)) for name in ("stiffness_cosine", "stiffness_sine")
+        }
         return replace(d, **series)
 
     return Varied("fluctuation", system, "fluctuation", label, 1.0, "", (0.0, 1.25), d, at)

@@ -51,9 +51,28 @@ def response_report(document: Document) -> list[RenderableType]:
     head = f"{document['pair']}, state {document['state']}: period-1 response, ratio {first:g} to {last:g}, {law}"
     head += reading_words(document)
     parts: list[RenderableType] = [Text(head, style="bold")]
-    for branch in document["branches"]:
+    for number, branch in enumerate(document["branches"]):
+        if number:
+            parts.append(Text(_leaving(number, branch), style="bold"))
         parts += branch_report(branch)
+    parts += [Text(_link(link)) for link in document.get("links", ())]
+    parts += [Text(f"NOT FOLLOWED: {note}", style="bold red") for note in document.get("notes", ())]
     return parts
+
+
+def _leaving(number: int, branch: Document) -> str:
+    at = branch["leaves_at"]
+    return (
+        f"\nbranch {number}: period {branch['period_multiple']}, leaves branch {branch['parent']} at the {at['kind']} "
+        f"{ratio(at['frequency_ratio'])}"
+    )
+
+
+def _link(link: Document) -> str:
+    what = "the mirror image of branch" if link["likeness"] == "mirror image" else "branch"
+    return (
+        f"{link['kind']} {ratio(link['frequency_ratio'])} of branch {link['branch']} leads to {what} {link['target']}"
+    )
 
 
 def reading_words(document: Document) -> str:
@@ -194,6 +213,7 @@ def _comparison(comparison: Document) -> Table:
         ("fold", "folds"),
         ("period-doubling", "period-doublings"),
         ("neimark-sacker", "neimark-sacker points"),
+        ("grazing", "grazing points (contact intervals come or go)"),
     ):
         table.add_row(words, *(str(comparison["states"][n]["special_points"].get(kind, 0)) for n in names), "")
     return table

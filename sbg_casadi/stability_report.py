@@ -21,6 +21,7 @@ KINDS = {
     "period-doubling": "period-doubling",
     "neimark-sacker": "Neimark-Sacker (torus)",
     "branch-point": "branch point",
+    "grazing": "grazing (a contact interval comes or goes)",
 }
 _TYPES = {
     "fold": "real and above +1, as beyond a fold: a small disturbance grows without changing sides",

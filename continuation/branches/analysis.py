@@ -12,15 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from continuation.branches.branch import Branch, SpecialPoint
+from continuation.branches.branch import CRITICAL, Branch, SpecialPoint
 from continuation.branches.curve import Segment
+from continuation.branches.functions import Functions, search_functions
+from continuation.branches.grazing import search
+from continuation.branches.grazing_system import locate_touch
 from continuation.branches.locate import Located, locate
 from continuation.branches.newton import Metric, Node
 from continuation.branches.normal_form import describe
 from continuation.branches.screening import Suspect, screen
 from continuation.orbits.orbit import Orbit
-
-_WEIGHT = {"fold": 1, "branch-point": 1, "period-doubling": 1, "neimark-sacker": 2, "grazing": 0}
 
 
 def analyse(
@@ -30,8 +31,9 @@ def analyse(
     stop: str,
     began: float,
     progress: Callable[[float, str], None] | None,
+    functions: Functions | None = None,
 ) -> Branch:
-    """Return the Branch of corrected nodes with located special points."""
+    """Return the Branch of corrected nodes with located special points, zeros of user functions among them."""
     notes: list[str] = []
     located: list[Located] = []
     try:
@@ -40,12 +42,15 @@ def analyse(
         if len(nodes) > 1:
             nodes, suspects, notes = screen(problem, nodes, metric)
             notes += _vertical(problem, nodes, metric)
-            for suspect in _with_turns(problem, nodes, metric, suspects):
-                found = locate(suspect)
-                if isinstance(found, Located):
-                    located.append(found)
-                elif found:
-                    notes.append(found)
+            found: list[Located | str] = [locate(s) for s in _with_turns(problem, nodes, metric, suspects)]
+            if functions:
+                nodes, zeros, open_ = search_functions(problem, nodes, metric, functions)
+                found += zeros
+                notes += open_
+            touches, open_ = search(problem, nodes, metric)
+            found += [locate_touch(t) for t in touches]
+            located = [s for s in found if isinstance(s, Located)]
+            notes += open_ + [s for s in found if isinstance(s, str) and s]
     except KeyboardInterrupt:
         stop += "; interrupted while special points were searched: the orbits are kept, points may be missing"
     place = {id(n): i for i, n in enumerate(nodes)}
@@ -54,8 +59,8 @@ def analyse(
     everything = [(n.u, n.p, n.error) for n in nodes] + [(s.node.u, s.node.p, _error(problem, s.node)) for s in located]
     orbits = problem.orbits(everything)
     path, ends = orbits[: len(nodes)], orbits[len(nodes) :]
-    points = [_point(problem, s, o, nodes, place[id(s.segment.a)]) for s, o in zip(located, ends, strict=True)]
-    points.sort(key=lambda q: (q.index, _along(nodes, q)))
+    points = [_point(problem, s, o, nodes, _index(s, nodes, place)) for s, o in zip(located, ends, strict=True)]
+    points.sort(key=lambda q: (q.index, _along(problem, metric, nodes, q)))
     seconds = time.perf_counter() - began
     work = {
         "points": len(path),
@@ -94,12 +99,25 @@ def _with_turns(problem: Any, nodes: list[Node], metric: Metric, suspects: list[
 
 def _vertical(problem: Any, nodes: list[Node], metric: Metric) -> list[str]:
     """Return a note for every parameter at which the branch is a vertical line of neutral orbits."""
-    places = {f"{a.p:.9g}" for a, b in pairwise(nodes) if Segment(problem, metric, a, b).vertical}
+    segments = [Segment(problem, metric, a, b) for a, b in pairwise(nodes)]
+    values = sorted(p for s in segments if s.vertical for p in (s.a.p, s.b.p))
+    runs: list[list[float]] = []
+    for p in values:
+        if runs and p - runs[-1][-1] <= 1e-6 * max(abs(p), 1e-3):
+            runs[-1].append(p)
+        else:
+            runs.append([p])
     return [
-        f"{problem.parameter} = {p}: a family of neutral orbits at one parameter value (the model is linear along it); "
-        "folds are not looked for there"
-        for p in sorted(places)
+        f"{problem.parameter} = {_digits(run)}: a family of neutral orbits at one parameter value (the model is linear "
+        "along it); folds are not looked for there"
+        for run in runs
     ]
+
+
+def _digits(run: list[float]) -> str:
+    """Return the one number of a run to nine digits, or its ends."""
+    low, high = f"{run[0]:.9g}", f"{run[-1]:.9g}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _once(located: list[Located], metric: Metric) -> list[Located]:
@@ -111,12 +129,21 @@ def _once(located: list[Located], metric: Metric) -> list[Located]:
             q
             for q in out
             if q.kind == point.kind
+            and (CRITICAL[q.kind] > 0 or q.note == point.note)
             and metric.length(fit(q.node.u, point.node.u) - point.node.u, q.node.p - point.node.p)
             < 1e-6 + 10 * (q.error + point.error) / metric.span
         ]
         if not same:
             out.append(point)
     return out
+
+
+def _index(s: Located, nodes: list[Node], place: dict[int, int]) -> int:
+    """Return the node that a located point comes after; others may have been inserted into its segment since."""
+    first, last = place[id(s.segment.a)], place[id(s.segment.b)]
+    like = max(s.segment.a.u, s.segment.b.u, key=len)
+    passed = [s.segment.coordinate(s.segment.problem.lengthen(n.u, like), n.p) <= s.x for n in nodes[first + 1 : last]]
+    return first + sum(passed)
 
 
 def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node], index: int) -> SpecialPoint:
@@ -143,9 +170,11 @@ def _as_on_branch(problem: Any, s: Located) -> Node:
     return replace(s.node, u=u, tu=tu)
 
 
-def _along(nodes: list[Node], point: SpecialPoint) -> float:
-    node = nodes[point.index]
-    return point.parameter * (1.0 if node.tp >= 0 else -1.0)
+def _along(problem: Any, metric: Metric, nodes: list[Node], point: SpecialPoint) -> float:
+    """Return the coordinate of a point between its neighbours, which tells the order also where the branch turns."""
+    segment = Segment(problem, metric, nodes[point.index], nodes[point.index + 1])
+    like = max(segment.a.u, segment.b.u, key=len)
+    return segment.coordinate(problem.lengthen(point.node.u, like), point.parameter)
 
 
 def _unstable(orbit: Orbit, autonomous: bool) -> int | None:
@@ -171,7 +200,7 @@ def _unexplained(path: list[Orbit], points: list[SpecialPoint], autonomous: bool
     notes = []
     counts = [(i, c) for i, o in enumerate(path) if (c := _unstable(o, autonomous)) is not None]
     for (i, before), (j, after) in pairwise(counts):
-        between = [_WEIGHT[q.kind] for q in points if i <= q.index < j]
+        between = [CRITICAL[q.kind] for q in points if i <= q.index < j]
         change, most = abs(after - before), sum(between)
         if change > most or (most - change) % 2:
             a, b = sorted((path[i].value, path[j].value))

@@ -11,6 +11,7 @@ import numpy as np
 
 from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
+from continuation.branches.functions import Functions, check_functions
 from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.branches.sparse_bordered import null_direction
 from continuation.errors import NoConvergence
@@ -19,6 +20,7 @@ from continuation.orbits.orbit import Orbit
 Progress = Callable[[float, str], None]
 Ended = Callable[[Node, Node], str | None]
 _ACCURACY = 1e-9  # of points along the branch; special points are corrected further
+_STRAY = 0.1  # of a step, correction of its prediction beyond what a turn explains that makes it be taken again
 _TURN = 0.35  # rad between tangents of neighbouring points that makes a step be taken again, halved
 
 
@@ -56,6 +58,7 @@ def trace(
     max_step: float | None = None,
     max_points: int = 5000,
     progress: Progress | None = None,
+    functions: Functions | None = None,
 ) -> Branch:
     """Trace the branch of periodic orbits through ``start`` and locate its special points.
 
@@ -75,6 +78,10 @@ def trace(
         Limit on accepted points.
     progress : callable, optional
         Called with the fraction done (0 to 1, by the parameter) and a line of text.
+    functions : mapping of str to callable, optional
+        Functions of an Orbit whose zeros are special points of kind "user", e.g.
+        ``{"rms 0.3": lambda orbit: orbit.rms("x") - 0.3}``. They are evaluated on interpolated orbits, too, should be
+        smooth along the branch, and may return NaN where they have no value.
 
     Returns
     -------
@@ -84,7 +91,7 @@ def trace(
     Raises
     ------
     ValueError
-        For a span that is empty, not finite, or does not contain the start.
+        For a span that is empty, not finite, or does not contain the start, and for a function that returns no number.
     NoConvergence
         If not even the start can be corrected.
     """
@@ -92,11 +99,12 @@ def trace(
     low, high = check_span(span, start.value)
     width = high - low
     limits = Limits.of((low, high), step, max_step, max_points)
+    check_functions(functions or {}, start)
     u, p = problem.unknown(start), start.value
     metric = Metric(size_of(u), width)
     first = start_node(problem, u, p, metric)
     nodes, stop = walk(problem, first, span, limits, metric, progress, getattr(problem, "ended", None))
-    return analyse(problem, nodes, metric, stop, began, progress)
+    return analyse(problem, nodes, metric, stop, began, progress, functions)
 
 
 def walk(
@@ -203,8 +211,8 @@ def _walk(
 def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Metric) -> tuple[Node | None, float, str]:
     """Take one accepted step; return it with the next step length, or None with the reason.
 
-    The step is shortened while Newton fails or the tangent turns by more than ``_TURN``; the next one aims at half of
-    that turn. The largest step grows with the amplitude, so that high peaks take no more points than low ones.
+    The step is shortened while Newton fails, the tangent turns by more than ``_TURN`` or the point lies far from where it
+    was predicted; the next one aims at half of that turn. The largest step grows with the amplitude, so that high peaks take no more points than low ones.
     """
     node = nodes[-1]
     reach = max(1.0, float(np.linalg.norm(node.u)) / metric.size)
@@ -222,6 +230,9 @@ def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Me
         angle = float(np.arccos(np.clip(turn, -1.0, 1.0)))
         if angle > _TURN:
             reason, ds = "the branch turns too sharply", ds / 2
+            continue
+        if metric.length(new.u - guess[0], new.p - guess[1]) > (_STRAY + 2 * angle) * ds:
+            reason, ds = "the correction leads away from the prediction, perhaps to another branch", ds / 2
             continue
         new = resolve(problem, new, (node.tu, node.tp), metric)
         growth = min(2.0, max(0.5, 0.5 * _TURN / max(angle, 1e-6)), 2.0 ** (4 - new.iterations))

@@ -14,17 +14,28 @@ import numpy as np
 from continuation.branches.criticality import Criticality, NormalForm
 from continuation.orbits.orbit import Orbit
 
-Kind = Literal["fold", "period-doubling", "neimark-sacker", "branch-point", "grazing"]
+Kind = Literal["fold", "period-doubling", "neimark-sacker", "branch-point", "grazing", "user"]
+CRITICAL: dict[Kind, int] = {
+    "fold": 1,
+    "period-doubling": 1,
+    "neimark-sacker": 2,
+    "branch-point": 1,
+    "grazing": 0,
+    "user": 0,
+}
+"""Multipliers on the unit circle at a special point of each kind; no stability changes where there is none."""
 SCHEMA = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpecialPoint:
-    """A fold, period-doubling, Neimark-Sacker, branch or grazing point of a branch.
+    """A fold, period-doubling, Neimark-Sacker, branch or grazing point of a branch, or a zero of a user's function.
 
     Attributes
     ----------
     kind : str
+        At a "grazing" point a contact interval appears or vanishes, ``note`` says which; at a "user" point the
+        function that ``note`` names is zero.
     parameter : float
         Continuation parameter at the point.
     error : float

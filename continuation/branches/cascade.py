@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from continuation.branches.arclength import Progress, check_span
-from continuation.branches.branch import Branch, SpecialPoint
+from continuation.branches.branch import CRITICAL, Branch, SpecialPoint
 from continuation.branches.switching import switch
 from continuation.errors import ContinuationError
 
@@ -20,7 +20,15 @@ _PLAUSIBLE = 0.25  # relative distance of the last ratio from its limit up to wh
 _COARSE = 0.15  # the same of a first ratio that was not measured
 
 Ending = Literal[
-    "limit", "resolution", "neimark-sacker", "fold", "branch-point", "grazing", "no doubling", "not reached", "interrupted"
+    "limit",
+    "resolution",
+    "neimark-sacker",
+    "fold",
+    "branch-point",
+    "grazing",
+    "no doubling",
+    "not reached",
+    "interrupted",
 ]
 
 
@@ -208,8 +216,7 @@ def _next(
 
 def _ending(branch: Branch) -> tuple[Ending, SpecialPoint | None, str]:
     """Return what ends the first stretch of stable orbits, the doubling if it is one, and a sentence."""
-    points = branch.special_points
-    verdicts = _stretches(branch)
+    points, verdicts = _stretches(branch)
     stable = next((i for i, v in enumerate(verdicts) if v == "stable"), None)
     if "interrupted" in branch.stop:
         return "interrupted", None, branch.stop
@@ -225,15 +232,27 @@ def _ending(branch: Branch) -> tuple[Ending, SpecialPoint | None, str]:
         if q is not None and q.kind == "period-doubling":
             return "limit", q, ""
     q = after or (before if before is not None and before.kind != "fold" else None)
-    if q is None:
+    if q is None or q.kind == "user":
         return "no doubling", None, f"stable orbits of period {n} do not double: {branch.stop}"
     where = f"{q.kind} at {name} = {q.parameter:.10g} +- {q.error:.1e}"
     return q.kind, None, f"orbits of period {n} lose their stability at a {where}"
 
 
-def _stretches(branch: Branch) -> list[str]:
-    """Return the verdict of the orbits before, between and after the special points, undecided where none is sure."""
-    ends = [0, *(q.index + 1 for q in branch.special_points), len(branch)]
+def _stretches(branch: Branch) -> tuple[list[SpecialPoint], list[str]]:
+    """Return the special points at which stability changes, and the verdicts before, between and after them.
+
+    Grazing counts only where orbits are stable on one side and unstable on the other.
+    """
+    every = list(branch.special_points)
+    sides = list(pairwise(_verdicts(branch, every)))
+    silent = [q.kind == "user" or set(side) != {"stable", "unstable"} for q, side in zip(every, sides, strict=True)]
+    points = [q for q, quiet in zip(every, silent, strict=True) if CRITICAL[q.kind] or not quiet]
+    return points, _verdicts(branch, points)
+
+
+def _verdicts(branch: Branch, points: list[SpecialPoint]) -> list[str]:
+    """Return the verdict of the orbits before, between and after points, undecided where none is sure."""
+    ends = [0, *(q.index + 1 for q in points), len(branch)]
     out = []
     for a, b in pairwise(ends):
         sure = [v for v in branch.stability[a:b].tolist() if v != "undecided"]

@@ -47,13 +47,11 @@ class NormalForm:
         return nearest_resonance(self.rotation_number)
 
     def __str__(self) -> str:
-        words = [f"{self.criticality}: {self.reason}" if self.reason else self.criticality]
+        words = [f"{self.criticality} ({self.reason})" if self.reason and self.criticality else self.criticality]
         if np.isfinite(self.rotation_number):
             name, distance = self.resonance
-            words.append(
-                f"rotation number {self.rotation_number:.6f}, nearest strong resonance {name} at {distance:.2g}"
-            )
-        return "; ".join(w for w in words if w)
+            words.append(f"rotation {self.rotation_number:.6f} ({name} at {distance:.2g})")
+        return ", ".join(w for w in words if w)
 
 
 def nearest_resonance(nu: float) -> tuple[str, float]:

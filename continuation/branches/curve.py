@@ -21,6 +21,10 @@ class Segment:
     a: Node
     b: Node
 
+    def __str__(self) -> str:
+        a, b = sorted((self.a.p, self.b.p))
+        return f"{self.problem.parameter} in [{a:.10g}, {b:.10g}]"
+
     @property
     def vertical(self) -> bool:
         """Whether its orbits are all of one parameter value, a neutral family; a model linear along them has such."""

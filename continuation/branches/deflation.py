@@ -17,9 +17,7 @@ _NEAR = 1e-4  # relative distance from a known solution at which a result is tha
 _LONGEST = 0.5  # of the size of the iterate, longest step
 
 
-def deflated(
-    problem: Any, u: np.ndarray, p: float, known: Sequence[np.ndarray], *, iterations: int = 40
-) -> np.ndarray:
+def deflated(problem: Any, u: np.ndarray, p: float, known: Sequence[np.ndarray], *, iterations: int = 40) -> np.ndarray:
     """Solve F(u, p) = 0 at fixed p for a solution that is none of the known ones.
 
     Newton's method on ``m(u) F(u)`` with ``m = prod_i (1 + |u_i|^2 / |u - u_i|^2)`` over the known solutions u_i, which

@@ -98,7 +98,9 @@ class Tree:
             lines += ["  " * m.depth + f"{number}: {origin}{head}", *("  " * m.depth + line for line in rest)]
         for k in self.links:
             what = "the mirror image of branch" if k.likeness == "mirror image" else "branch"
-            lines.append(f"  {k.point.kind} at {k.point.parameter:.10g} of branch {k.number} leads to {what} {k.target}")
+            lines.append(
+                f"  {k.point.kind} at {k.point.parameter:.10g} of branch {k.number} leads to {what} {k.target}"
+            )
         return "\n".join([*lines, *(f"  not followed: {note}" for note in self.notes)])
 
 

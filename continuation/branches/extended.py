@@ -102,6 +102,8 @@ class ExtendedProblem:
         For other kinds, and for a method without exact second derivatives.
     """
 
+    kind: Kind
+
     def __init__(self, problem: Any, kind: Kind, size: float, unit: float, second: str | None = None) -> None:
         if kind not in ("fold", "period-doubling", "neimark-sacker"):
             raise UnsupportedModel(f"no extended system for a {kind}")
@@ -184,9 +186,12 @@ class ExtendedProblem:
 
     def _null(self, u: np.ndarray, p: float, nu: float) -> Null:
         M = self.inner.critical_operator(u, p, nu)
-        if self._borders is None or len(self._borders[0]) != len(M):
+        if self._borders is None:
             v, w = nearest_null(M)
             self._borders = w, v
+        elif len(self._borders[0]) != len(M):
+            b, c = (self._fitted(x, u, len(M)) for x in self._borders)
+            self._borders = b / np.linalg.norm(b), c / np.linalg.norm(c)
         null = bordered(M, *self._borders)
         self._borders = null.w / np.linalg.norm(null.w), null.v / np.linalg.norm(null.v)
         return null
@@ -208,6 +213,18 @@ class ExtendedProblem:
             raise NoConvergence("the Jacobian is singular in orbit and parameter together")
         size = metric.length(t[:-1], float(t[-1]))
         return t[:-1] / size, float(t[-1]) / size
+
+    def _fitted(self, v: np.ndarray, u: np.ndarray, N: int) -> np.ndarray:
+        """Return a null vector of another number of harmonics padded or cut to length N."""
+        if self.kind == "fold":
+            return np.asarray(self.inner.lengthen(v, u))
+        if self.kind == "period-doubling":  # real parts, then imaginary parts
+            halves, out = v.reshape(2, -1), np.zeros((2, N // 2))
+            keep = min(len(v), N) // 2
+            out[:, :keep] = halves[:, :keep]
+            return out.ravel()
+        cut = (len(v) - N) // 2  # orders -H..H
+        return v[cut : cut + N] if cut > 0 else np.pad(v, -cut)
 
     # ---------------------------------------------------------------- resolution
     def adapt(self, U: np.ndarray, q: float) -> tuple[np.ndarray, float]:

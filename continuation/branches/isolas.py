@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from continuation.branches.arclength import Progress, check_span, start_node, trace
+from continuation.branches.analysis import analyse
+from continuation.branches.arclength import Limits, Progress, check_span, start_node, walk
 from continuation.branches.branch import Branch, SpecialPoint
 from continuation.branches.deflation import deflated
+from continuation.branches.extended import extended, solve_point
 from continuation.branches.newton import Metric, Node, size_of
-from continuation.branches.recognition import Library
-from continuation.branches.tracking import Curve, track
+from continuation.branches.recognition import Library, between
+from continuation.branches.tracking import track
 from continuation.errors import ContinuationError
 from continuation.orbits.orbit import Orbit
 
+_SAME = 1e-6  # of the span, distance of two folds that may be one
 _FACTORS = (0.03, 30.0)  # by which harmonics of known orbits are scaled for a start
 _TRUST = 0.3  # relative waveform error above which a solution is an artefact of the discretisation
 
@@ -66,10 +70,15 @@ class IsolaSearch:
 
     def __str__(self) -> str:
         found = len(self.branches)
-        head = f"{len(self.isolas)} isolas and {found - len(self.isolas)} other branches found" if found else "none found"
+        head = (
+            f"{len(self.isolas)} isolas and {found - len(self.isolas)} other branches found" if found else "none found"
+        )
         lines = [f"Search for isolas: {head}, {self.starts} starts at {len(self.slices)} parameter values"]
         lines += [line for b in self.branches for line in str(b).split("\n")]
-        lines += [f"  a fold curve turns back at ({p:.8g}, {q:.8g}): an isola is born or merges" for p, q in self.extrema]
+        lines += [
+            f"  a fold curve turns back at ({p:.8g}, {q:.8g}): an isola is born or merges there"
+            for p, q in self.extrema
+        ]
         if not found:
             lines.append("  this search proves nothing about what it did not meet")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
@@ -85,6 +94,7 @@ def find_isolas(
     second: Mapping[str, tuple[float, float]] | None = None,
     step: float | None = None,
     max_step: float | None = None,
+    max_points: int = 2000,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> IsolaSearch:
@@ -109,7 +119,7 @@ def find_isolas(
         Starts per slice and known orbit.
     second : mapping, optional
         Range of one further parameter, e.g. ``{"g": (0.1, 0.4)}``, which contains its value: folds are followed there.
-    step, max_step : float, optional
+    step, max_step, max_points
         As for :func:`~continuation.trace`.
     seed : int
         Of the random scaling; the same seed gives the same result.
@@ -137,7 +147,7 @@ def find_isolas(
     values = _slices(branches, low, high, slices) if isinstance(slices, int) else np.asarray(slices, dtype=float)
     for value in values:
         check_span((low, high), float(value))
-    search = _Search(problem, branches, (low, high), step, max_step)
+    search = _Search(problem, branches, (low, high), step, max_step, max_points)
     try:
         if second is not None:
             search.folds(second, progress)
@@ -162,8 +172,9 @@ class _Search:
         span: tuple[float, float],
         step: float | None,
         max_step: float | None,
+        max_points: int,
     ) -> None:
-        self.problem, self.span, self.step, self.max_step = problem, span, step, max_step
+        self.problem, self.limits = problem, Limits.of(span, step, max_step, max_points)
         self.library = Library(problem.system.autonomous)
         for branch in branches:
             self.library.add(branch)
@@ -175,35 +186,45 @@ class _Search:
     # ---------------------------------------------------------------- folds
     def folds(self, second: Mapping[str, tuple[float, float]], progress: Progress | None) -> None:
         """Follow the folds of the known branches in a second parameter, back to its value here."""
+        passed: list[tuple[np.ndarray, float]] = []
         for fold in [q for b in self.known for q in b.special_points if q.kind == "fold"]:
+            if any(self._is(fold, u, p) for u, p in passed):
+                continue  # on a curve followed already
             try:
-                self._fold(fold, second, progress)
+                passed += self._fold(fold, second, progress)
             except (ContinuationError, ValueError) as reason:
                 self.notes.append(f"fold at {fold.parameter:.8g} was not followed: {reason}")
 
-    def _fold(self, fold: SpecialPoint, second: Mapping[str, tuple[float, float]], progress: Progress | None) -> None:
-        name = next(iter(second))
-        curve = track(fold, parameters=(self.problem.parameter, name), span=second, progress=progress)
-        q = curve.values[:, 1]
-        for i in range(1, len(q) - 1):
-            if (q[i] - q[i - 1]) * (q[i + 1] - q[i]) < 0:
-                self._extremum(curve, i)
-        here = self.problem.values[name]
-        for i in np.flatnonzero((q[:-1] - here) * (q[1:] - here) < 0):
-            orbit = curve.orbits[i if abs(q[i] - here) < abs(q[i + 1] - here) else i + 1]
-            if self.span[0] <= orbit.parameters[self.problem.parameter] <= self.span[1]:
-                self.try_start(self.problem.unknown(orbit), orbit.parameters[self.problem.parameter])
+    def _is(self, fold: SpecialPoint, u: np.ndarray, p: float) -> bool:
+        """Tell whether a located fold and a corrected one are the same."""
+        if abs(fold.parameter - p) > _SAME * (self.limits.span[1] - self.limits.span[0]) + 2 * fold.error:
+            return False
+        known = self.problem.lengthen(self.problem.unknown(fold.orbit), u)
+        return float(np.linalg.norm(known - u)) < np.sqrt(_SAME) * size_of(u)
 
-    def _extremum(self, curve: Curve, i: int) -> None:
-        """Remember the extremum of the second parameter near a point of a fold curve, by a parabola, once."""
-        values = curve.values[i - 1 : i + 2]
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(values, axis=0) / np.ptp(curve.values, axis=0), axis=1))])
-        fit = np.polyfit(s, values, 2)
-        top = -fit[1, 1] / (2 * fit[0, 1])
-        p, q = (float(np.polyval(fit[:, k], top)) for k in (0, 1))
-        scale = np.ptp(curve.values, axis=0)
-        if all(abs(p - a) > 0.02 * scale[0] or abs(q - b) > 0.02 * scale[1] for a, b in self.extrema):
-            self.extrema.append((p, q))
+    def _fold(
+        self, fold: SpecialPoint, second: Mapping[str, tuple[float, float]], progress: Progress | None
+    ) -> list[tuple[np.ndarray, float]]:
+        """Follow one fold; return the folds (u, p) met at the present value of the second parameter."""
+        problem, name = self.problem, next(iter(second))
+        curve = track(fold, parameters=(problem.parameter, name), span=second, progress=progress)
+        q = curve.values[:, 1]
+        self.extrema += [e for e in (s.parameters for s in curve.points if s.kind == "extremum") if not self._has(e)]
+        here, met = problem.values[name], []
+        for i in np.flatnonzero((q[:-1] - here) * (q[1:] - here) < 0):
+            t = float((here - q[i]) / (q[i + 1] - q[i]))
+            p = float((1 - t) * curve.values[i, 0] + t * curve.values[i + 1, 0])
+            u = problem.unknown(between(curve.orbits[i], curve.orbits[i + 1], t))
+            system = extended(problem, "fold", u, p)
+            u, p, _ = system.split(solve_point(system, system.join(u, p)).u)
+            met.append((u, p))
+            known = [s for b in self.library.branches for s in b.special_points if s.kind == "fold"]
+            if not any(self._is(s, u, p) for s in known):
+                self.try_start(u, p)
+        return met
+
+    def _has(self, extremum: tuple[float, float]) -> bool:
+        return any(np.allclose(extremum, e, rtol=1e-3) for e in self.extrema)
 
     # ---------------------------------------------------------------- slices
     def slice(self, p: float, starts: int, rng: np.random.Generator) -> None:
@@ -241,14 +262,26 @@ class _Search:
 
     def try_start(self, u: np.ndarray, p: float) -> bool:
         """Trace the branch through an orbit unless it is known; tell whether it was new."""
-        problem = self.problem
-        metric = Metric(size_of(u), self.span[1] - self.span[0])
+        problem, began = self.problem, time.perf_counter()
+        metric = Metric(size_of(u), self.limits.span[1] - self.limits.span[0])
+        own = getattr(problem, "ended", None)
+        met: list[str] = []
+
+        def ended(before: Node, new: Node) -> str | None:
+            if self.library.find(problem, new) is not None:  # at a fold itself it may not be recognised, but soon after
+                met.append("known")
+                return met[-1]
+            return own(before, new) if own is not None else None
+
         try:
-            node = start_node(problem, u, p, metric)
-            if not node.error < _TRUST * size_of(node.u) or self.library.find(problem, _inside(node, self.span)):
+            first = start_node(problem, u, p, metric)
+            start, end = self.limits.span
+            if not (first.error < _TRUST * size_of(first.u) and start < first.p < end) or ended(first, first):
                 return False
-            orbit = problem.orbits([(node.u, node.p, node.error)])[0]
-            branch = trace(problem, orbit, self.span, step=self.step, max_step=self.max_step)
+            nodes, stop = walk(problem, first, (start, end), self.limits, metric, None, ended)
+            if met:
+                return False
+            branch = analyse(problem, nodes, metric, stop, began, None)
         except ContinuationError as reason:
             self.notes.append(f"an orbit near {problem.parameter} = {p:.6g} could not be followed: {reason}")
             return False
@@ -268,10 +301,6 @@ def _slices(branches: Sequence[Branch], low: float, high: float, count: int) -> 
         if low < value < high and (not out or value - out[-1] > apart):
             out.append(float(value))
     return np.array(out)
-
-
-def _inside(node: Node, span: tuple[float, float]) -> Node:
-    return replace(node, p=float(np.clip(node.p, *span)))
 
 
 def _scattered(orbit: Orbit, rng: np.random.Generator) -> Orbit:

@@ -65,7 +65,7 @@ def locate(suspect: Suspect) -> Located | str:
         pass  # the method has no second derivatives
     except (NoConvergence, IntegrationFailed) as failure:
         reason = str(failure)
-    found = _tried(segment, kind, suspect.x, partial(_rising, segment, kind, _tests(segment.problem, kind)))
+    found = _tried(segment, kind, suspect.x, partial(rising, segment, kind, _tests(segment.problem, kind)))
     if isinstance(found, Located) and reason:
         words = f"by the secant on its test function: the extended system failed ({reason})"
         return replace(found, note=f"{words}; {found.note}" if found.note else words)
@@ -183,7 +183,7 @@ def _tests(problem: Any, kind: Kind) -> Callable[[Node], float]:
     return modulus
 
 
-def _rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: float) -> Located:
+def rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: float) -> Located:
     """Repeat the root search with twice the harmonics until the change of the parameter says it is good enough."""
     problem = segment.problem
     scale = _scale(segment)

@@ -133,8 +133,7 @@ def correct(
         u, p, F, J, Fp = _damped(problem, (u, p), (du, dp), history)
         if cycle := _cycle(before, (u, p), metric, size):
             escapes = _escape(escapes, cycle, history, p)
-            u = np.mean([v for v, _ in before[-cycle:]], axis=0)
-            p = float(np.mean([v for _, v in before[-cycle:]]))
+            u, p = (np.mean(values, axis=0) for values in zip(*before[-cycle:], strict=True))
             F, J, Fp = _linearise(problem, u, p, history)
             before.clear()
         best, last = min(best, size), size

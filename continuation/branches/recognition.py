@@ -128,7 +128,7 @@ class Library:
             reach = float(np.sqrt(np.sum(((sizes[1] - sizes[0]) / scale) ** 2)))
             off = float(np.sqrt(np.sum((((1 - t) * sizes[0] + t * sizes[1] - np.abs(mine)) / scale) ** 2)))
             if off <= reach + 100 * _SAME:
-                out.append((_between(branch.orbits[i], branch.orbits[i + 1], t), reach + 100 * _SAME))
+                out.append((between(branch.orbits[i], branch.orbits[i + 1], t), reach + 100 * _SAME))
         return out
 
     def _compare(self, problem: Any, guess: Orbit, reach: float, node: Node, mine: np.ndarray) -> Likeness | None:
@@ -146,7 +146,7 @@ class Library:
         return "mirror image" if off < _SAME else None
 
 
-def _between(a: Orbit, b: Orbit, t: float) -> Orbit:
+def between(a: Orbit, b: Orbit, t: float) -> Orbit:
     """Return the linear interpolation of two neighbouring orbits of a branch, as a guess."""
     count = max(len(a.coefficients), len(b.coefficients))
 

@@ -219,9 +219,7 @@ def _deflated_node(leaving: Departure, side: float) -> Node:
     raise failure
 
 
-def follow(
-    leaving: Departure, progress: Progress | None, began: float, known: Known | None = None
-) -> Branch | None:
+def follow(leaving: Departure, progress: Progress | None, began: float, known: Known | None = None) -> Branch | None:
     """Return the new branch; None where ``known`` says that it is one already known.
 
     ``known(problem, node)`` returns the reason why the walk need not go on, or None.

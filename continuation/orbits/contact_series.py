@@ -13,6 +13,9 @@ import numpy as np
 
 from continuation.model.contact import Contact
 
+_ROUNDING = 1e-15  # of an argument, relative to the sum of its amplitudes and its level
+_CLOSE = 1e-3  # distance between roots that are looked at for rounding between them, rad
+
 
 @dataclass(frozen=True, slots=True)
 class ContactPattern:
@@ -56,81 +59,69 @@ def find_pattern(argument: np.ndarray, contact: Contact) -> ContactPattern:
 def find_patterns(arguments: np.ndarray, contact: Contact) -> list[ContactPattern]:
     """Find every contact change of several trigonometric polynomials (N, H+1), short contacts included.
 
-    Each is sampled at 8 to 16 points per shortest wave; extrema between samples that may reach a breakpoint are
-    searched by Newton's method, so that a contact shorter than a sample is not missed.
+    Each is sampled at 8 to 16 points per shortest wave. A bound of the second derivative tells the intervals that can't
+    hold a root, or not more than one; the others are halved until it does, so that no contact is missed unless it is
+    shallower than rounding. Cost grows where the argument comes close to a breakpoint without crossing it.
     """
     count = 8 << max(arguments.shape[1] - 1, 2).bit_length()
-    values = np.empty((len(arguments), count + 2))  # two samples more than a period, to look across its end
+    values = np.empty((len(arguments), count + 1))
     values[:, :count] = np.fft.irfft(arguments, count, axis=1, norm="forward")
-    values[:, count:] = values[:, :2]
-    step = 2 * np.pi / count
-    brackets = _brackets(values, contact.breakpoints, step)
-    extrema = _extrema(arguments, values, step, np.array(contact.breakpoints))
-    if extrema:
-        brackets = _with_extrema(arguments, extrema, values, np.array(contact.breakpoints), brackets, step)
-    owner, left, _, _, f_right, level = brackets
-    phases = _polish(arguments, *brackets) if owner.size else left
-    after = np.searchsorted(contact.breakpoints, level) + (f_right > 0)  # a root that rises leads to the upper mode
+    values[:, count] = values[:, 0]
+    brackets = _brackets(arguments, values, np.array(contact.breakpoints))
+    owner, phases, _, _, right, level = brackets
+    if owner.size:
+        phases = _polish(arguments, *brackets)
+        kept = _deeper_than_rounding(arguments, owner, phases, level)
+        owner, phases, right, level = owner[kept], phases[kept], right[kept], level[kept]
+    after = np.searchsorted(contact.breakpoints, level) + (right > 0)  # a root that rises leads to the upper mode
     return _patterns(values[:, 0], owner, phases, after, contact)
 
 
-def _brackets(values: np.ndarray, levels: tuple[float, ...], step: float) -> tuple[np.ndarray, ...]:
-    """Return owner, phases and values (less the level) at both ends, and level of every sample interval with a root."""
-    wide = values.shape[1] - 2
-    found = []
+def _brackets(arguments: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return owner, ends, values less the level there, and level of intervals that hold one root each."""
+    width = 2 * np.pi / (values.shape[1] - 1)
+    size = np.abs(arguments)
+    bend = 2 * size @ np.arange(arguments.shape[1]) ** 2.0  # largest second derivative
+    near = (bend * width**2 / 8)[:, None]
+    found: list[tuple[np.ndarray, ...]] = []
     for level in levels:
-        above = values[:, : wide + 1] > level
-        flat = np.flatnonzero(above[:, 1:] != above[:, :-1])
-        i, j = np.divmod(flat, wide)
-        found.append((i, j * step, (j + 1) * step, values[i, j] - level, values[i, j + 1] - level))
-    sizes = [len(f[0]) for f in found]
-    return *(np.concatenate(column) for column in zip(*found, strict=True)), np.repeat(np.array(levels), sizes)
+        f = values - level
+        above, close = f > 0, np.abs(f) <= near
+        i, j = np.nonzero((above[:, 1:] != above[:, :-1]) | close[:, 1:] | close[:, :-1])
+        if i.size:
+            found.append((i, j * width, (j + 1) * width, f[i, j], f[i, j + 1], np.full(i.size, level)))
+    if not found:
+        return np.zeros(0, dtype=int), *(np.zeros((5, 0)))
+    cells = tuple(np.concatenate(column) for column in zip(*found, strict=True))
+    rounding = _ROUNDING * (2 * size.sum(axis=1) + np.abs(levels).max())
+    sure: list[tuple[np.ndarray, ...]] = []
+    while True:
+        owner, low, high, left, right, level = cells
+        wave = bend[owner] * (high - low) ** 2
+        crosses, unsure = _judge(left, right, wave)
+        unsure &= wave > rounding[owner]
+        sure.append(tuple(c[crosses & ~unsure] for c in cells))
+        if not unsure.any():
+            break
+        owner, low, high, left, right, level = (c[unsure] for c in cells)
+        middle = (low + high) / 2
+        f = _at(arguments, owner, middle, 0) - level
+        ends = np.append(low, middle), np.append(middle, high), np.append(left, f), np.append(f, right)
+        cells = np.append(owner, owner), *ends, np.append(level, level)
+    if len(sure) == 1:
+        return sure[0]
+    return tuple(np.concatenate(column) for column in zip(*sure, strict=True))
 
 
-def _extrema(
-    arguments: np.ndarray, values: np.ndarray, step: float, levels: np.ndarray
-) -> list[tuple[int, int, float]]:
-    """Return (owner, sample before, phase) of extrema that may reach past a breakpoint between two samples."""
-    rise = np.diff(values, axis=1)
-    flat = np.flatnonzero(rise[:, 1:] * rise[:, :-1] <= 0)
-    i, j = np.divmod(flat, rise.shape[1] - 1)
-    j += 1
-    bend = np.abs(rise[i, j] - rise[i, j - 1])
-    near = (np.abs(values[i, j, None] - levels) <= bend[:, None]).any(axis=1)
-    i, j = i[near], j[near]
-    if not i.size:
-        return []
-    phase = j * step
-    for _ in range(4):
-        first, second = _at(arguments, i, phase, 1), _at(arguments, i, phase, 2)
-        move = np.divide(-first, second, out=np.zeros_like(first), where=second != 0)
-        phase = phase + np.clip(move, -step, step)
-    return [(int(a), int(np.floor(b / step)), float(b)) for a, b in zip(i, phase, strict=True)]
+def _judge(left: np.ndarray, right: np.ndarray, wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Tell intervals whose ends lie on different sides, and those that may hold more roots than that.
 
-
-def _with_extrema(  # type: ignore[no-untyped-def]
-    arguments, extrema, values, levels, brackets, step
-) -> tuple[np.ndarray, ...]:
-    """Replace every sample interval that holds an extremum by its two parts."""
-    i, left, right, f_left, f_right, level = brackets
-    columns = [list(c) for c in (i, left, right, f_left, f_right, level)]
-    count = values.shape[1] - 2
-    cells: dict[tuple[int, int], list[float]] = {}
-    for owner, cell, phase in extrema:
-        cells.setdefault((owner, cell % count), []).append(float(np.mod(phase, 2 * np.pi)))
-    taken = {(int(a), round(b / step)) for a, b in zip(i, left, strict=True)} & set(cells)
-    keep = [n for n, (a, b) in enumerate(zip(i, left, strict=True)) if (int(a), round(b / step)) not in taken]
-    columns = [[c[n] for n in keep] for c in columns]
-    for (owner, cell), inner in cells.items():
-        inside = sorted({p for p in inner if cell * step < p < (cell + 1) * step})
-        grid = np.array([cell * step, *inside, (cell + 1) * step])
-        f = np.array([values[owner, cell], *_at(arguments, np.full(len(inside), owner), grid[1:-1], 0),
-                      values[owner, cell + 1]])  # fmt: skip
-        for b in levels:
-            for n in np.flatnonzero((f[1:] > b) != (f[:-1] > b)):
-                for c, v in zip(columns, (owner, grid[n], grid[n + 1], f[n] - b, f[n + 1] - b, b), strict=True):
-                    c.append(v)
-    return np.array(columns[0], dtype=int), *(np.array(c, dtype=float) for c in columns[1:])
+    ``wave`` is the bound of the second derivative times the width squared: an eighth of it is the largest distance
+    from the chord, and with half of it less than the rise the function is monotone.
+    """
+    crosses = (left > 0) != (right > 0)
+    near = np.minimum(np.abs(left), np.abs(right)) <= wave / 8
+    return crosses, np.where(crosses, np.abs(right - left) <= wave / 2, near)
 
 
 def _at(arguments: np.ndarray, owner: np.ndarray, phases: np.ndarray, derivative: int) -> np.ndarray:
@@ -166,6 +157,26 @@ def _polish(
         if moved < 1e-9:  # quadratic: the next step would be below rounding
             break
     return phase
+
+
+def _deeper_than_rounding(
+    arguments: np.ndarray, owner: np.ndarray, phases: np.ndarray, level: np.ndarray
+) -> np.ndarray:
+    """Return the indices of roots that are left when the argument must pass its level by more than rounding.
+
+    Of a run of roots with nothing but rounding between them an even number is none, and an odd number one.
+    """
+    order = np.lexsort((phases, level, owner))
+    i, t, b = owner[order], phases[order], level[order]
+    close = (i[1:] == i[:-1]) & (b[1:] == b[:-1]) & (np.diff(t) < _CLOSE)
+    if not close.any():
+        return order
+    size = 2 * np.abs(arguments[i]).sum(axis=1) + np.abs(b)
+    depth = np.abs(_at(arguments, i[1:], (t[1:] + t[:-1]) / 2, 0) - b[1:])
+    starts = np.flatnonzero(np.append(True, ~(close & (depth <= _ROUNDING * size[1:]))))
+    counts = np.diff(np.append(starts, len(order)))
+    odd = counts % 2 == 1
+    return np.asarray(order[starts[odd] + 2 * (counts[odd] // 4)])  # one that goes the way of the first
 
 
 def _patterns(

@@ -36,18 +36,23 @@ def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
     k = problem.ports.outputs
     H = (len(u) // k - 1) // 2
     tail, low, load = _left_out(problem, u, p)
-    across = through_balance(problem, u, p, pack(low))
     unit = problem.parameter_scale(p)
-    x, y = across[: len(u), 0], across[: len(u), 1] * unit
+    z, t = _changes(problem, u, p, pack(low), unit)
     # shortest change of (u, p) instead of the one at fixed p, so that it stays finite at folds
-    dp = float(x @ y) / (float(y @ y) + size_of(u) ** 2)
-    tail[: H + 1] = unpack(x, k)
-    fixed = waveform_size(pack(tail), k)
-    tail[: H + 1] = unpack(x - dp * y, k)
+    weights = np.ones(len(z))
+    weights[len(u) :] = 0.0
+    weights[-1] = size_of(u) ** 2
+    least = z - float(z @ (weights * t)) / float(t @ (weights * t)) * t
+    fixed = np.inf
+    if abs(t[-1]) > 0:
+        tail[: H + 1] = unpack((z - z[-1] / t[-1] * t)[: len(u)], k)
+        fixed = waveform_size(pack(tail), k)
+    tail[: H + 1] = unpack(least[: len(u)], k)
     step = pack(tail)
     shortest = waveform_size(step, k)
     error = fixed if fixed < _FOLD * shortest else shortest
-    turn = float(across[-1, 0] - dp * unit * across[-1, 1]) if problem.free else 0.0
+    dp = float(least[-1])
+    turn = float(least[-2]) if problem.free else 0.0
     return Estimate(step, dp * unit, turn, shortest, 2 * error + _of_receptance(problem, u, p, load), load)
 
 
@@ -79,6 +84,24 @@ def _times_waveform(slope: np.ndarray, tail: np.ndarray) -> np.ndarray:
     spectra = np.fft.fft(slope, size, axis=0), np.fft.fft(two_sided, size, axis=0)
     full = np.fft.ifft(np.einsum("fmk,fk->fm", *spectra), axis=0)
     return full[middle + n - 1 : middle + 2 * n - 1]
+
+
+def _changes(
+    problem: Any, u: np.ndarray, p: float, low: np.ndarray, unit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a change (du, dp / unit) of orbit and parameter that ``low`` makes, and the direction of the branch.
+
+    The matrix is bordered by a row that no branch is normal to in practice, so that it is regular at folds, too.
+    """
+    matrix, Fp = _balance_matrix(problem, u, p)
+    problem.factorisations += 1
+    n = len(Fp)
+    whole, right = np.empty((n + 1, n + 1)), np.zeros((n + 1, 2))
+    whole[:n, :n], whole[:n, n] = matrix, unit * Fp
+    row = np.random.default_rng(0).standard_normal(n + 1) / np.sqrt(n + 1)
+    whole[n], right[: len(low), 0], right[n, 1] = row * np.abs(matrix).max(), low, 1.0
+    z, t = np.linalg.solve(whole, right).T
+    return z, t
 
 
 def through_balance(problem: Any, u: np.ndarray, p: float, low: np.ndarray) -> np.ndarray:

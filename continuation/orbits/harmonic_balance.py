@@ -63,7 +63,7 @@ class HarmonicBalance:
         ValueError
             For an unknown parameter name or a period multiple below 1.
         UnsupportedModel
-            For a contact that enters non-linearly.
+            For a right-hand side that jumps other than through a contact.
         """
         if system.autonomous:
             from continuation.orbits.free_period import free_period

@@ -99,6 +99,10 @@ class Samples:
         """Return Fourier coefficients 0..last (last+1, c) of real values (N, c) at the points."""
         return self.harmonics.project(self.weights[:, None] * values, last)
 
+    def part(self, keep: np.ndarray) -> Samples:
+        """Return some of the points."""
+        return Samples(self.phases[keep], self.weights[keep], self.segments[keep], self.harmonics.part(keep))
+
 
 @lru_cache(maxsize=4)
 def _rule(points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -187,31 +191,32 @@ def sample(
     _, w, tail = _rule(_POINTS)
     for _ in range(_DEPTH):
         phases, rates = panels.points()
-        flat, segments = phases.ravel(), np.repeat(panels.segment, _POINTS)
-        harmonics = Harmonics(flat, order)
-        values = evaluate(flat, segments, harmonics)
+        flat, weights = phases.ravel(), (rates * w).ravel() / (2 * np.pi)
+        points = Samples(flat, weights, np.repeat(panels.segment, _POINTS), Harmonics(flat, order))
+        values = evaluate(flat, points.segments, points.harmonics)
         scale = np.maximum(scale, np.abs(values).max(axis=0, initial=0.0))
         shaped = values.reshape(len(phases), _POINTS, -1) * rates[..., None]
         left_over = np.abs(np.einsum("tq,pqc->ptc", tail, shaped)).max(axis=1) / (2 * np.pi)
         rough = ~(left_over <= np.maximum(_RESOLVED * scale, noise)).all(axis=1) & np.isfinite(left_over).all(axis=1)
         jumps = left_over[:, :leading] > _JUMP * scale[:leading] * panels.length[:, None] + noise
-        if np.any(jumps.any(axis=1) & (panels.length < _TINY)):
+        at = panels.start[jumps.any(axis=1) & (panels.length < _TINY)]
+        if at.size:
             break
-        weights = (rates * w).ravel() / (2 * np.pi)
         if not rough.any():
-            found.append((Samples(flat, weights, segments, harmonics), values))
-            return found[0] if len(found) == 1 else _joined(found)
+            return _joined([*found, (points, values)])
         keep = np.repeat(~rough, _POINTS)
-        kept = Samples(flat[keep], weights[keep], segments[keep], harmonics.part(keep))
-        found.append((kept, values[keep]))
+        found.append((points.part(keep), values[keep]))
         panels = panels.halved(rough, corners)
+        at = panels.start
     raise UnsupportedModel(
-        f"the port force is not smooth between contact changes, near phase {panels.start[0] % (2 * np.pi):.6g} rad; "
+        f"the port force is not smooth between contact changes, near phase {at[0] % (2 * np.pi):.6g} rad of the orbit; "
         "declare every corner as a Contact, and smooth jumps"
     )
 
 
 def _joined(found: list[tuple[Samples, np.ndarray]]) -> tuple[Samples, np.ndarray]:
+    if len(found) == 1:
+        return found[0]
     parts = [samples for samples, _ in found]
     phases, weights, segments = (
         np.concatenate([getattr(s, name) for s in parts]) for name in ("phases", "weights", "segments")

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from continuation.errors import ContinuationError, nearest
 from continuation.model.system import System
 from continuation.timedomain.basins_result import Attractor, Basins
+from continuation.timedomain.lyapunov import standard_error
 from continuation.timedomain.period_map import Integrator, PeriodMap, period_map
 from continuation.timedomain.plain_system import PlainSystem
-from continuation.timedomain.recognition import Evidence, Witness
+from continuation.timedomain.recognition import UNKNOWN as UNRECOGNISED
+from continuation.timedomain.recognition import Witness
 from continuation.timedomain.settling import Settling
 from continuation.timedomain.sweep import Progress
 from continuation.timedomain.sweep_result import period_verdict
 
 _FIRST = 48  # states that look for attractors before the rest is matched against those
 _BLOCK = 64  # states that go to a worker together
-_STRETCH = 16  # periods between two looks
+_STRETCH = 48  # periods between two looks
 _NEAR = 1e-3  # distance from a cycle, over the scale, at which a state that still comes closer belongs to it
 _SAME_CYCLE = 1e-3
-_SAME_MEANS = 0.1  # of the deviation: features of an attractor that does not repeat
+_SAME_MEANS = 0.1  # of the deviation, with 4 standard errors: features of an attractor that does not repeat
+_FEATURES = 256  # periods that features are taken from
 
 UNKNOWN, LOST = -1, -2
 """Labels of states whose attractor was not found within the limit, and of states that leave the finite numbers."""
@@ -124,9 +127,12 @@ def basins(
     -----
     The first 48 states in an order drawn at random (always the same) settle on their own and make the list of
     attractors; the others are followed until they are within 1e-3 of a cycle on that list and still come closer, and
-    settle on their own where that does not happen. Attractors that do not repeat are matched by mean, deviation and
-    extremes of all coordinates. An attractor with a share below 1 in 48 may be found late, but is not missed when a
-    state of the sample goes to it. Cost: 30 to 100 periods per state.
+    settle on their own where that does not happen. Attractors that do not repeat are matched by mean and mean square of
+    all coordinates over 256 periods, within a tenth of the deviation and four standard errors. Where a state wanders
+    long before it settles, boundaries are fractal: the label of a single state then changes with the integrator and
+    its tolerance, and only the shares mean something.
+    An attractor with a share below 1 in 48 may be found late, but is not missed when a
+    state of the sample goes to it. Cost: 48 to 150 periods per state.
 
     Examples
     --------
@@ -237,8 +243,9 @@ class _Follower:
     def follow(self, x: np.ndarray, attractors: Sequence[Attractor]) -> int:
         """Return the attractor that a state comes close to within the limit, _OPEN for none, LOST where it fails."""
         cycles = [(k, a) for k, a in enumerate(attractors) if a.period]
+        others = [(k, a) for k, a in enumerate(attractors) if not a.period]
         distances = np.full(len(cycles), np.inf)
-        for _ in range(0, self.limit, _STRETCH):
+        for _ in range(0, self.limit if cycles else 4 * self.transient, _STRETCH):
             try:
                 strobe = self.map.strobe(x, _STRETCH)
             except ContinuationError:
@@ -249,23 +256,27 @@ class _Follower:
             if len(hits):
                 return cycles[int(hits[now[hits].argmin()])][0]
             distances = np.where(now < _NEAR, now, np.inf)
-        return _OPEN
+        try:
+            found = self._describe(x, _FEATURES, 0, "", "") if others else None
+        except ContinuationError:
+            return LOST
+        return next((k for k, a in others if found is not None and alike(found, a)), _OPEN)
 
     def add(self, x: np.ndarray, attractors: list[Attractor]) -> int:
         """Let a state settle on its own; return its attractor, which joins the list if it is new."""
         try:
-            found = self._settle(x)
+            found = self._settle(x, attractors)
         except ContinuationError:
             return LOST
         if found is None:
             return UNKNOWN
         for k, known in enumerate(attractors):
-            if same(found, known):
+            if found is known or same(found, known):
                 return k
         attractors.append(found)
         return len(attractors) - 1
 
-    def _settle(self, x: np.ndarray) -> Attractor | None:
+    def _settle(self, x: np.ndarray, known: Sequence[Attractor], *, again: bool = True) -> Attractor | None:
         settled = Settling(
             lambda state: self.map.ahead(state, 1)[0],
             tolerance=1e-7,
@@ -275,24 +286,42 @@ class _Follower:
             recorded=1,
             ahead=self.map.ahead,
         ).run(x)
-        count = settled.period or 128
-        waves = self.map.ahead(settled.state, count)
-        numbers, strobe = self.map.describe(settled.state, waves, bool(settled.period))
-        verdict, evidence = period_verdict(settled.period), ""
-        if not settled.period:
-            if self._witness is None:
-                self._witness = Witness(self.system)
-            found: Evidence = self._witness.look(settled.state, self.p)
-            verdict, evidence = found.verdict, found.reason
-            if verdict == "not recognised":
-                return None
+        if settled.period:
+            return self._describe(settled.state, settled.period, settled.period, period_verdict(settled.period), "")
+        candidate = self._describe(settled.state, _FEATURES, 0, "", "")
+        for attractor in known:
+            if not attractor.period and alike(candidate, attractor):
+                return attractor
+        if self._witness is None:
+            self._witness = Witness(self.system)
+        found, end = self._witness.look(settled.state, self.p)
+        if found.verdict == UNRECOGNISED:
+            return self._settle(end, known, again=False) if found.settles and again else None
+        return replace(candidate, verdict=found.verdict, evidence=found.reason)
+
+    def _describe(self, x: np.ndarray, count: int, period: int, verdict: str, evidence: str) -> Attractor:
+        waves = self.map.ahead(x, count)
+        numbers, strobe = self.map.describe(x, waves, bool(period))
+        spread = np.zeros((waves.shape[2], 2))
+        if not period:
+            values = waves[:, :-1]
+            for k, table in enumerate((values.mean(axis=1), (values**2).mean(axis=1))):
+                spread[:, k] = [standard_error(column) for column in table.T]
         scale = abs(waves).max(axis=(0, 1)) + self.map.floor
-        return Attractor(verdict, evidence, settled.period, strobe[:count].copy(), scale, numbers)
+        return Attractor(verdict, evidence, period, strobe[:count].copy(), scale, numbers, spread)
 
 
 def same(a: Attractor, b: Attractor) -> bool:
     """Return whether two responses are one attractor: cycles point by point, others by verdict and features."""
     if a.period or b.period:
         return a.period == b.period and b.distance(a.points[0]) < _SAME_CYCLE
-    size = np.maximum(a.numbers[:, :1], 1e-3 * a.scale[:, None])
-    return a.verdict == b.verdict and bool(np.all(abs(a.numbers[:, :2] - b.numbers[:, :2]) < _SAME_MEANS * size))
+    return a.verdict == b.verdict and alike(a, b)
+
+
+def alike(a: Attractor, b: Attractor) -> bool:
+    """Return whether means and mean squares of two responses that do not repeat agree."""
+    bounds = 4 * np.hypot(a.spread, b.spread)
+    deviation = np.maximum(np.maximum(a.numbers[:, 0], b.numbers[:, 0]), 1e-3 * b.scale)
+    means = abs(a.numbers[:, 1] - b.numbers[:, 1]) < _SAME_MEANS * deviation + bounds[:, 0]
+    squares = abs((a.numbers[:, :2] ** 2 - b.numbers[:, :2] ** 2).sum(axis=1))
+    return bool(np.all(means & (squares < 2 * _SAME_MEANS * deviation**2 + bounds[:, 1])))

@@ -29,6 +29,8 @@ class Attractor:
         Largest size of every coordinate.
     numbers : ndarray (n, 4)
         Rms about the mean, mean, minimum and maximum of every coordinate.
+    spread : ndarray (n, 2)
+        Standard errors of the mean of every coordinate and of its square, from block averages; 0 for a cycle.
     """
 
     verdict: str
@@ -37,6 +39,7 @@ class Attractor:
     points: np.ndarray
     scale: np.ndarray
     numbers: np.ndarray
+    spread: np.ndarray
 
     def distance(self, x: np.ndarray) -> float:
         """Return the distance of a state at phase 0 from the nearest point, over the scale."""

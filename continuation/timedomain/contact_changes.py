@@ -58,7 +58,10 @@ def first_change(
                 continue
             if abs(series[-2:]).max() > 1e-6 * (1 + abs(series[0])):
                 return False, None
-            found += [(r, i, direction) for r in _crossings(series, breakpoints[i][k], direction)]
+            crossings = _crossings(series, breakpoints[i][k], direction)
+            if not crossings and np.all(direction * (values - breakpoints[i][k]) > 0):
+                crossings = [0.0]  # it only touched the piece that it was taken for: outside all along the step
+            found += [(r, i, direction) for r in crossings]
     return True, min(found) if found else None
 
 

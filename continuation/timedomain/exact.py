@@ -171,7 +171,9 @@ class ExactIntegrator:
         target = self._laws[i][2][run.pieces[i] if direction > 0 else run.pieces[i] - 1]
         length = max(fraction, 0.0) * h
         if length > 0:
-            for _ in range(4):
+            correction = 0.0
+            for _ in range(5):
+                length -= correction
                 x1 = self.functions.step(run.x, run.theta, length, p, *law)[0]
                 value, rate = self.functions.guard(x1, run.theta + length, p, *law)
                 miss = value[i] - target
@@ -179,11 +181,12 @@ class ExactIntegrator:
                 # Grazing: the rate vanishes, and an instant missed by d costs d times the miss, which is negligible.
                 if abs(miss) <= 1e-14 * (1 + abs(target)) or abs(correction) > 1e-3 * h:
                     break
-                length -= correction
             if abs(miss) > 1e-7 * (1 + abs(target)):
                 return h / 2
             if run.theta + length > run.theta:
                 run.add(np.array([run.theta + length]), x1[None])
+                if miss * direction < -1e-14 * (1 + abs(target)) and not np.isfinite(correction):
+                    return proposed  # the interpolant said it passes, but it turns back just before
         run.changes.append((run.theta, i, direction))
         run.places.append(len(run.modes))
         run.pieces[i] += direction

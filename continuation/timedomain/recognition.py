@@ -55,6 +55,11 @@ class Evidence:
     averages: float
     periods: int
 
+    @property
+    def settles(self) -> bool:
+        """Whether the exponent says that the response will repeat, now or after a longer transient."""
+        return self.verdict == UNKNOWN and self.exponent < -3 * self.exponent_error
+
 
 def no_evidence(reason: str) -> Evidence:
     """Return the verdict that nothing is known."""
@@ -68,7 +73,7 @@ class Witness:
     ----------
     system : System
     integrator : FixedStep, optional
-        Of order 4 with as many steps as needed when absent.
+        Of order 4 when absent, with half the steps that a sweep takes: its error is no matter here.
     periods : int
         Excitation periods of the first record, a multiple of 256; where it does not decide, a second and a third one
         of twice the length follow.
@@ -82,7 +87,7 @@ class Witness:
     on a torus and neither in chaos nor while a response settles, and the halves have the same rotation number, which is
     no fraction with a denominator up to 64; a locking with more periods is not told from a torus. All else is not
     recognised. Chaos that ends later than the periods looked
-    at is called chaos. A period takes about twice as long as a plain one.
+    at is called chaos. A period takes about twice as long as one of the sweep.
     """
 
     def __init__(self, system: System, integrator: FixedStep | None = None, periods: int = 512) -> None:
@@ -93,27 +98,36 @@ class Witness:
         self._with = {settings.steps_per_period: self._base}
         self.periods = periods
 
-    def look(self, x: np.ndarray, p: np.ndarray) -> Evidence:
-        """Judge the response that continues from a state (n,) with parameters (q,); failures are a verdict, too."""
+    def look(self, x: np.ndarray, p: np.ndarray) -> tuple[Evidence, np.ndarray]:
+        """Judge the response that continues from a state (n,) with parameters (q,); failures are a verdict, too.
+
+        Returns
+        -------
+        Evidence
+        end : ndarray (n,)
+            Last state, from which a response that still settles may be followed on.
+        """
         length, periods = 2 * np.pi / float(p[self._frequency]), self.periods
         z = np.concatenate([x, np.full(len(x), 1 / np.sqrt(len(x))), [0.0]])
         for _ in range(_ROUNDS):
             try:
                 strobe, growth, z = self._march(z, p, periods)
             except ContinuationError as error:
-                return no_evidence(str(error))
+                return no_evidence(str(error)), x
             found = judge(strobe, growth / (_GROUP * length), length)
             if found.verdict != UNKNOWN:
                 break
+            if found.settles:
+                break
             periods *= 2
-        return found
+        return found, z[: len(x)]
 
     def _march(self, z: np.ndarray, p: np.ndarray, periods: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the stroboscopic states (periods, n), the logarithms of growth over groups of periods, and the end."""
         if self._suitable is None:
             integrator = self._base
         else:
-            steps = self._suitable(p)
+            steps = self._suitable(p) // 2
             integrator = self._with.setdefault(steps, self._base.with_steps(steps))
         n = len(z) // 2
         points, growth = [], []
@@ -166,8 +180,9 @@ def principal(points: np.ndarray) -> np.ndarray:
     scaled = centred[:, deviation > 0] / deviation[deviation > 0]
     if scaled.shape[1] == 0:
         return np.zeros((len(points), 2))
-    left = np.linalg.svd(scaled, full_matrices=False)[0] * np.sqrt(len(points))
-    return np.column_stack([left, np.zeros(len(points))])[:, :2]
+    values, vectors = np.linalg.eigh(scaled.T @ scaled / len(points))
+    along = scaled @ vectors[:, ::-1] / np.sqrt(np.maximum(values[::-1], 1e-15 * values[-1]))
+    return np.column_stack([along, np.zeros(len(points))])[:, :2]
 
 
 def _weights(count: int) -> np.ndarray:

@@ -16,11 +16,12 @@ import numpy as np
 from continuation.errors import ContinuationError, UnsupportedModel, nearest
 from continuation.model.system import System
 from continuation.timedomain.cvodes import CVODES
+from continuation.timedomain.exact import describe
 from continuation.timedomain.parts import Keeper
 from continuation.timedomain.period_map import Integrator, PeriodMap, period_map
 from continuation.timedomain.plain_system import PlainSystem
 from continuation.timedomain.recognition import Evidence, Witness
-from continuation.timedomain.settling import Settling
+from continuation.timedomain.settling import Settled, Settling
 from continuation.timedomain.sweep_result import FAILED, Sweep
 from continuation.timedomain.sweep_rows import Row, collect, failed_row, row_of
 
@@ -117,9 +118,11 @@ class _Run:
         self.map: PeriodMap = period_map(self.system, task.integrator, quantities)
         self.p = self.system.parameter_vector()
         self.index = self.system.parameter_names.index(task.parameter)
+        self.clock = self.system.parameter_names.index(str(self.system.frequency))
         self.march = ca.external("march", task.march) if task.march else None
         self.x = np.array(task.starts[0])
         self._witness: Witness | None = None
+        self.used = 0
 
     def value(self, i: int) -> Row:
         """Settle at one value and describe what is there."""
@@ -127,33 +130,46 @@ class _Run:
         self.p[self.index] = task.values[i]
         if len(task.starts) > 1:
             self.x = np.array(task.starts[i])
-        settling = None
+        self.used = 0
         try:
             self.map.set(self.p)
-            x = _approach(self.march, self.x, self.p) if self.march else self.x
-            again = task.recorded if self.map.described_again else 0
-            settling = Settling(
-                lambda state: self.map.ahead(state, 1)[0],
-                tolerance=task.tolerance,
-                floor=self.map.floor,
-                transient=task.transient,
-                limit=max(task.limit - again, 1),
-                recorded=1 if again else task.recorded,
-                ahead=self.map.ahead,
-            )
-            settled = settling.run(x)
+            settled = self._settle(_approach(self.march, self.x, self.p) if self.march else self.x)
             row = row_of(task, self.map, settled)
             if not settled.period:
-                found = self._look(row.state)
-                row = replace(row, verdict=found.verdict, evidence=found)
+                found, end = self._look(row.state)
+                later = self._settle(end) if found.settles else None
+                if later is not None and later.period:  # a long transient that has ended meanwhile
+                    row = row_of(task, self.map, later)
+                    row = replace(row, used=row.used + settled.periods_used + found.periods)
+                else:
+                    row = replace(row, verdict=found.verdict, evidence=found)
         except ContinuationError as error:
-            logger.warning("%s = %g: %s", task.parameter, task.values[i], error)
+            began = describe(dict(zip(self.system.state_names, self.x.tolist(), strict=True)))
+            reason = f"{error}. This value began with state {began}; it failed within {self.used} periods of time "
+            reason += f"{2 * np.pi / float(self.p[self.clock]):.6g}"
+            logger.warning("%s = %g: %s", task.parameter, task.values[i], reason)
             self.x = np.array(task.starts[0])
-            return failed_row(task, str(error), settling.used if settling else 0)
+            return failed_row(task, reason, self.used)
         self.x = row.state
         return row
 
-    def _look(self, x: np.ndarray) -> Evidence:
+    def _settle(self, x: np.ndarray) -> Settled:
+        task, again = self.task, self.task.recorded if self.map.described_again else 0
+        settling = Settling(
+            lambda state: self.map.ahead(state, 1)[0],
+            tolerance=task.tolerance,
+            floor=self.map.floor,
+            transient=task.transient,
+            limit=max(task.limit - again, 1),
+            recorded=1 if again else task.recorded,
+            ahead=self.map.ahead,
+        )
+        try:
+            return settling.run(x)
+        finally:
+            self.used += settling.used
+
+    def _look(self, x: np.ndarray) -> tuple[Evidence, np.ndarray]:
         if self._witness is None:
             self._witness = Witness(self.system)
         return self._witness.look(x, self.p)

@@ -9,8 +9,8 @@ import pytest
 import reference_systems as rs
 
 from continuation import HarmonicBalance, Shooting, explore, find_isolas, trace
-from continuation.branches.newton import Metric
 from continuation.branches.arclength import start_node
+from continuation.branches.newton import Metric
 from continuation.branches.recognition import Library, Match
 
 GEAR_SPAN = (1.5, 1.0)
@@ -24,7 +24,11 @@ def symmetric():
 
 def test_symmetric_system_breaks_symmetry_then_doubles(symmetric):
     """Two mirror images double at one parameter value; the branch of the second is the mirror image of the first's."""
-    assert [(m.parent, m.depth, m.branch.period_multiple) for m in symmetric.limbs] == [(None, 0, 1), (0, 1, 1), (1, 2, 2)]
+    assert [(m.parent, m.depth, m.branch.period_multiple) for m in symmetric.limbs] == [
+        (None, 0, 1),
+        (0, 1, 1),
+        (1, 2, 2),
+    ]
     assert [m.point and m.point.kind for m in symmetric.limbs] == [None, "branch-point", "period-doubling"]
     first, second = (q.parameter for q in symmetric.branches[1].special_points)
     assert first == pytest.approx(second, abs=1e-8)

@@ -13,15 +13,11 @@ METHODS = {"hb": HarmonicBalance(), "shooting": Shooting(), "collocation": Collo
 def test_a_step_past_a_fold_names_value_history_and_orbit(name):
     problem = METHODS[name].discretise(rs.duffing(), "omega")
     upper = trace(problem, problem.guess(omega=1.0), (1.0, 1.26)).orbits[-1]
-    try:
-        found = problem.solve(upper, 1.6)  # the upper branch ends at 1.2696
-    except NoConvergence as failure:
-        assert failure.parameter == pytest.approx(1.6)
-        assert len(failure.history) > 0
-        assert failure.orbit is upper
-        assert "take a smaller step" in str(failure)
-    else:
-        assert found.rms("x") < 0.3 * upper.rms("x")  # the lower branch, the only orbit there is
+    with pytest.raises(NoConvergence, match="take a smaller step") as caught:
+        problem.solve(upper, 1.6)  # the upper branch ends at 1.2696
+    assert caught.value.parameter == pytest.approx(1.6)
+    assert len(caught.value.history) > 0
+    assert caught.value.orbit is upper
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -53,5 +49,5 @@ def test_a_model_that_is_not_finite_is_named(name):
         frequency="omega",
         parameters={"omega": (omega, 0.5)},
     )
-    with pytest.raises(ContinuationError, match=r"omega = 0\.5|parameter value 0\.5|not finite|finite numbers|runs away"):
+    with pytest.raises(ContinuationError, match=r"omega = 0\.5|parameter value 0\.5|not finite|runs away"):
         METHODS[name].discretise(broken, "omega").guess(omega=0.5)

@@ -8,11 +8,13 @@ import reference_systems as rs
 from scipy.integrate import solve_ivp
 
 from continuation import Collocation, HarmonicBalance, Shooting, find_isolas, trace
+from continuation.branches.isolas import _Search
 
+METHOD = HarmonicBalance()
 SPAN = (0.95, 1.05)
 
 
-def main_branch(force, method=HarmonicBalance()):
+def main_branch(force, method=METHOD):
     problem = method.discretise(rs.detached_resonance(force), "omega")
     return problem, trace(problem, problem.guess(omega=SPAN[0]), SPAN)
 
@@ -104,14 +106,27 @@ def test_the_other_well_is_a_mirror_image_and_no_isola():
         assert abs(abs(other.mean("x")) - abs(problem.solve(branch.orbits[0], 0.15).mean("x"))) > 1e-3
 
 
-def test_folds_tracked_in_the_force_turn_back_where_isolas_are_born_and_merge():
-    low, high = limits_of_detachment()
-    problem, main = main_branch(0.03, HarmonicBalance(harmonics=1))
-    search = find_isolas(problem, [main], SPAN, slices=[], second={"g": (0.004, 0.04)})
-    forces = sorted(q for _, q in search.extrema)
-    assert forces == pytest.approx([low, high], rel=2e-3)
-    assert [p for p, _ in search.extrema] == pytest.approx([1.0, 1.0], abs=2e-3)
+def test_folds_tracked_in_the_force_turn_back_where_the_isola_merges():
+    problem, main = main_branch(0.027, HarmonicBalance(harmonics=1))
+    search = find_isolas(problem, [main], SPAN, slices=[], second={"g": (0.024, 0.028)})
+    ((omega, force),) = search.extrema
+    assert force == pytest.approx(limits_of_detachment()[1], rel=2e-3)
+    assert omega == pytest.approx(1.0, abs=2e-3)
     assert search.branches == ()
+
+
+def test_an_isola_can_be_started_at_its_fold():
+    """Where a fold curve comes back to the present value of the second parameter."""
+    problem, main = main_branch(0.015)
+    (isola,) = find_isolas(problem, [main], SPAN, slices=[1.0]).isolas
+    fold = next(q for q in isola.special_points if q.kind == "fold")
+    search = _Search(problem, [main], SPAN, None, None, 2000)
+    assert search.try_start(problem.unknown(fold.orbit), fold.parameter)
+    again = search.library.branches[-1]
+    assert again.stop.startswith("closed")
+    wanted = sorted(q.parameter for q in isola.special_points)
+    assert sorted(q.parameter for q in again.special_points) == pytest.approx(wanted, abs=1e-8)
+    assert not search.try_start(problem.unknown(fold.orbit), fold.parameter)  # known now
 
 
 def test_misuse_is_refused():

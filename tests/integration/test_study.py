@@ -84,6 +84,11 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sbg_casadi.response.trace", begin)
 
 
+def folds(document: dict[str, Any]) -> list[float]:
+    """Return the frequency ratios of the folds of the first branch, in order along it."""
+    return [p["frequency_ratio"] for p in document["branches"][0]["special_points"] if p["kind"] == "fold"]
+
+
 def check_response(document: dict[str, Any]) -> None:
     """Check the contract that scripts rely on."""
     assert document["schema"] == 1
@@ -116,7 +121,8 @@ def test_a_study_of_the_iso_pair_is_complete_and_keeps_the_contract(finished: Fi
         (branch,) = state["branches"]
         assert branch["complete"]
         assert not branch["unresolved"]
-        assert [p["kind"] for p in branch["special_points"]] == ["fold", "fold"]  # the jump up and the jump down
+        # contact loss begins, the jump up and the jump down, contact loss ends
+        assert [p["kind"] for p in branch["special_points"]] == ["grazing", "fold", "fold", "grazing"]
         assert branch["points"][0]["frequency_ratio"] == START
         assert branch["points"][-1]["frequency_ratio"] == STOP
     assert json.loads((finished.folder.parent / "copy.json").read_text()) == document
@@ -136,7 +142,7 @@ def test_sweeps_agree_with_the_stable_branch_where_they_lie_on_it(finished: Fini
         assert check["compared"] >= 2 * SWEPT - 2
         assert check["largest_difference"] < 1e-6
         up, down = ({p["frequency_ratio"]: p["rms"] for p in s["points"]} for s in check["sweeps"])
-        fold_up, fold_down = (p["frequency_ratio"] for p in state["branches"][0]["special_points"])
+        fold_up, fold_down = folds(state)
         for r in up:
             apart = abs(up[r] - down[r]) > 0.05
             assert apart == (fold_down < r < fold_up), r  # two attractors between the jumps, one outside
@@ -189,12 +195,12 @@ def test_the_figure_draws_the_branches_the_sweeps_and_the_speed(finished: Finish
     figure = response_figure("title", branches, sweeps, rpm)
     (ax,) = figure.get_axes()
     kinds = [line.get_gid() for line in ax.get_lines()]
-    per_state = ["sweep up", "sweep down", "stable", "unstable", "stable", "fold"]
+    per_state = ["sweep up", "sweep down", "stable", "unstable", "stable", "fold", "grazing"]
     assert kinds == per_state * 2
     assert len({line.get_color() for line in ax.get_lines()}) == 2
     fold = ax.get_lines()[5]
     points = finished.document["states"][0]["branches"][0]["special_points"]
-    expected = [[p["frequency_ratio"], p["rms"]] for p in points]
+    expected = [[p["frequency_ratio"], p["rms"]] for p in points if p["kind"] == "fold"]
     np.testing.assert_array_equal(fold.get_xydata(), expected)
     unstable = ax.get_lines()[3]
     assert unstable.get_linestyle() == "--"
@@ -204,7 +210,7 @@ def test_the_figure_draws_the_branches_the_sweeps_and_the_speed(finished: Finish
     np.testing.assert_allclose(upper.get_xlim(), np.array(ax.get_xlim()) * rpm, rtol=1e-12)
     assert "rpm" in upper.get_xlabel()
     legend = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert legend == ["before", "after", "stable", "unstable", "fold", "sweep up", "sweep down"]
+    assert legend == ["before", "after", "stable", "unstable", "fold", "grazing", "sweep up", "sweep down"]
 
 
 def test_an_interrupt_leaves_earlier_results_and_says_what_was_finished(
@@ -279,8 +285,8 @@ def test_a_smoothed_response_says_so_and_moves_the_folds_a_little(tmp_path: Path
     document = json.loads(path.read_text())
     assert (code, document["smoothing"]) == (0, 0.003)
     assert "smoothed backlash law, width 0.003" in screen
-    exact = sorted(p["frequency_ratio"] for p in finished.document["states"][0]["branches"][0]["special_points"])
-    smooth = sorted(p["frequency_ratio"] for p in document["branches"][0]["special_points"])
+    exact, smooth = sorted(folds(finished.document["states"][0])), sorted(folds(document))
+    assert len(document["branches"][0]["special_points"]) == 2  # a smooth law has no grazing
     assert 1e-7 < np.abs(np.subtract(exact, smooth)).max() < 1e-3
 
 

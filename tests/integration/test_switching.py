@@ -13,10 +13,11 @@ from continuation.branches import switching
 from continuation.branches.deflation import deflated
 from continuation.branches.newton import Metric, correct, size_of
 
+METHOD = HarmonicBalance()
 METHODS = [HarmonicBalance(), Shooting(), Shooting(segments=1), Collocation()]
 
 
-def follow(system, parameter, span, method=HarmonicBalance(), **options):
+def follow(system, parameter, span, method=METHOD, **options):
     problem = method.discretise(system, parameter)
     return trace(problem, problem.guess(**{parameter: span[0]}), span, **options)
 

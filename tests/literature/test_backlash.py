@@ -32,8 +32,21 @@ def orbits(problem, branch):
 
 
 def test_folds(branch):
-    assert [q.kind for q in branch.special_points] == ["fold", "fold"]
-    assert sorted(q.parameter for q in branch.special_points) == pytest.approx([0.70803162, 0.82846398], abs=1e-8)
+    folds = [q.parameter for q in branch.special_points if q.kind == "fold"]
+    assert folds == pytest.approx([0.82846398, 0.70803162], abs=1e-8)
+
+
+def test_contact_is_lost_at_grazing_points(branch):
+    """No contact loss outside, on the low branch: event-exact, and closed form as the oscillation is linear there."""
+    found = [q for q in branch.special_points if q.kind == "grazing"]
+    assert [q.parameter for q in found] == pytest.approx([0.8206310877, 1.4070884660], abs=1e-10)
+    for q, words in zip(found, ("gained", "lost"), strict=True):
+        assert q.note.startswith("minimum of mesh at 1, phase ")
+        assert q.note.endswith(f"2 contact changes {words}")
+        assert q.error < 1e-9
+        assert q.status == "located"
+        w = q.parameter
+        assert 0.05 * w**2 / abs(1 - w**2 + 2j * rs.ZETA * w) == pytest.approx(0.1, abs=1e-10)
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def test_torus_points(branch):
 
 
 def test_everything_is_explained_and_stated(branch):
-    assert len(branch.special_points) == 12
+    assert len(branch.special_points) == 16
     assert branch.unresolved == ()
     assert all(q.error < 1e-8 and q.status == "located" for q in branch.special_points)
     assert branch.parameter[-1] == pytest.approx(0.4, abs=1e-12)
@@ -75,14 +75,14 @@ def test_two_doublings_inside_one_step(scale, step):
     """They enter and leave between two points, whose signs and counts are the same: 0.0001 apart at the least."""
     branch = follow(rs.gear(scale), (1.5, 1.25), step=step, max_step=step)
     assert by_kind(branch, "period-doubling") == pytest.approx(PAIRS[scale], abs=1e-8)
-    assert len(branch.special_points) == 2
+    assert {q.kind for q in branch.special_points} <= {"period-doubling", "grazing"}
     assert branch.unresolved == ()
 
 
 @pytest.mark.parametrize("step", [0.005, 0.1])
 def test_no_doubling_below_the_scale_at_which_they_meet(step):
     branch = follow(rs.gear(0.2363), (1.5, 1.25), step=step, max_step=step)
-    assert branch.special_points == ()
+    assert {q.kind for q in branch.special_points} <= {"grazing"}
     assert branch.unresolved == ()
     assert set(branch.stability) == {"stable"}
 
@@ -90,7 +90,7 @@ def test_no_doubling_below_the_scale_at_which_they_meet(step):
 def test_no_torus_point_near_0_72():
     """A complex pair comes near the unit circle, to 0.98629, and turns back; SciPy says the same."""
     branch = follow(rs.gear(), (0.8, 0.65))
-    assert branch.special_points == ()
+    assert {q.kind for q in branch.special_points} == {"grazing"}
     modulus = np.abs(branch.multipliers).max(axis=1)
     problem = METHOD.discretise(rs.gear(), "frequency_ratio")
     near = min(branch.orbits, key=lambda o: abs(o.value - 0.71795))

@@ -98,6 +98,7 @@ def test_options_reach_the_work(monkeypatch: pytest.MonkeyPatch, tmp_path: Path)
         "start": 2.6,
         "stop": 0.4,
         "smoothing": 0.01,
+        "tree": 0,
         "state": "before",
         "reading": frozenset(),
         "json_file": None,

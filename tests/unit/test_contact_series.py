@@ -114,3 +114,34 @@ def test_derivatives_of_a_polynomial():
     assert evaluate(c, t, 1) == pytest.approx(first, abs=1e-9)
     second = (evaluate(c, t + h, 1) - evaluate(c, t - h, 1)) / (2 * h)
     assert evaluate(c, t, 2) == pytest.approx(second, abs=1e-9)
+
+
+def wave_of_roots(roots, scale):
+    """Half spectrum of scale * prod 2 sin((t - r) / 2) over an even number of roots."""
+    factor = np.array([1.0 + 0j])
+    for r in roots:  # -i exp(i (t - r) / 2) + i exp(-i (t - r) / 2), a polynomial in exp(i t) but for half an order
+        factor = np.convolve(factor, [1j * np.exp(0.5j * r), -1j * np.exp(-0.5j * r)])
+    return scale * factor[len(roots) // 2 :]
+
+
+@given(st.integers(0, 10**6), st.integers(1, 6), st.sampled_from([0.3, 1e-2, 1e-4, 1e-6]))
+def test_every_root_of_a_wave_made_of_its_roots_is_found(seed, pairs, gap):
+    """Pairs of contact changes as close as 1e-6 rad: each is found, at the accuracy that so close a pair allows."""
+    rng = np.random.default_rng(seed)
+    at = np.sort(rng.uniform(0, 2 * np.pi, pairs))
+    distances = np.diff(np.append(at, at[0] + 2 * np.pi))
+    if distances.min() < 4 * gap + 0.05:
+        return
+    roots = np.concatenate([at, at + gap])
+    wave = wave_of_roots(roots, 1.0)
+    wave /= np.abs(wave).max()
+    contact = Contact(argument=ca.SX.sym("x"), breakpoints=(0.0,), slopes=(0.0, 1.0))
+    slope = np.abs(evaluate(wave, roots, 1)).min()
+    if slope * gap < 5e-13:  # the wave dips below the level by less than rounding
+        return
+    found = find_pattern(wave, contact)
+    wanted = np.sort(np.mod(roots, 2 * np.pi))
+    assert found.phases.size == wanted.size
+    assert np.abs(found.phases - wanted).max() < 1e-9 + 1e-14 / slope
+    middle = (found.phases + np.append(found.phases[1:], found.phases[0] + 2 * np.pi)) / 2
+    assert found.modes[1:].tolist() == contact.mode(evaluate(wave, middle)).tolist()
