@@ -211,8 +211,9 @@ def _walk(
 def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Metric) -> tuple[Node | None, float, str]:
     """Take one accepted step; return it with the next step length, or None with the reason.
 
-    The step is shortened while Newton fails, the tangent turns by more than ``_TURN`` or the point lies far from where it
-    was predicted; the next one aims at half of that turn. The largest step grows with the amplitude, so that high peaks take no more points than low ones.
+    The step is shortened while Newton fails, the tangent turns by more than ``_TURN`` or the point lies far from where
+    it was predicted; the next one aims at half of that turn. The largest step grows with the amplitude, so that high
+    peaks take no more points than low ones.
     """
     node = nodes[-1]
     reach = max(1.0, float(np.linalg.norm(node.u)) / metric.size)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -143,9 +143,9 @@ def cascade(
     Notes
     -----
     The next doubling is the end of the first stretch of stable orbits of the doubled branch, seen from its birth; on a
-    branch without stable orbits, its first doubling. The accumulation point is extrapolated with the last measured ratio
-    (Aitken); its error is the larger of the difference that Feigenbaum's ratio makes and a ratio's part of the change by
-    the last doubling.
+    branch without stable orbits, its first doubling. The accumulation point is extrapolated with the last measured
+    ratio (Aitken); its error is the larger of the difference that Feigenbaum's ratio makes and a ratio's part of the
+    change by the last doubling.
 
     Examples
     --------
@@ -232,10 +232,10 @@ def _ending(branch: Branch) -> tuple[Ending, SpecialPoint | None, str]:
         if q is not None and q.kind == "period-doubling":
             return "limit", q, ""
     q = after or (before if before is not None and before.kind != "fold" else None)
-    if q is None or q.kind == "user":
+    if q is None or q.kind in ("user", "period-doubling"):
         return "no doubling", None, f"stable orbits of period {n} do not double: {branch.stop}"
     where = f"{q.kind} at {name} = {q.parameter:.10g} +- {q.error:.1e}"
-    return q.kind, None, f"orbits of period {n} lose their stability at a {where}"
+    return cast(Ending, q.kind), None, f"orbits of period {n} lose their stability at a {where}"
 
 
 def _stretches(branch: Branch) -> tuple[list[SpecialPoint], list[str]]:

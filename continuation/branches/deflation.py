@@ -44,8 +44,8 @@ def deflated(problem: Any, u: np.ndarray, p: float, known: Sequence[np.ndarray],
 
     Notes
     -----
-    P. E. Farrell, A. Birkisson and S. W. Funke, SIAM J. Sci. Comput. 37 (2015) A2026-A2045. A solution that is not found
-    may exist all the same.
+    P. E. Farrell, A. Birkisson and S. W. Funke, SIAM J. Sci. Comput. 37 (2015) A2026-A2045. A solution that is not
+    found may exist all the same.
 
     Examples
     --------

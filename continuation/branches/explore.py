@@ -42,7 +42,7 @@ class Limb:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """A special point of one branch (``number``) that leads to a branch known already, or to the mirror image of one."""
+    """A special point of one branch (``number``) that leads to a known branch (``target``), or its mirror image."""
 
     number: int
     point: SpecialPoint

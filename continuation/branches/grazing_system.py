@@ -18,10 +18,11 @@ from continuation.branches.grazing import Touch
 from continuation.branches.locate import Located
 from continuation.branches.newton import Node, size_of
 from continuation.errors import IntegrationFailed, NoConvergence
-from continuation.orbits.contact_wave import extremum, gradient, nearest_extremum, waves
+from continuation.orbits.contact_wave import Extremum, extrema, extremum, gradient, waves
 
 _GOAL = 1e-9  # wanted error, relative to the size of the parameter
 _FLOOR = 2e-11  # of the stated error, relative likewise
+_NEAR = 0.3  # rad that the touching instant moves between two evaluations
 _OUTSIDE = 0.1  # of its segment, by which a located point may lie beyond its ends
 
 
@@ -47,6 +48,7 @@ class GrazingProblem(ExtendedProblem):
         self._scale, self._size, self.extra = size / unit, size, 1
         self._linear: tuple[Any, np.ndarray] | None = None
         self.contact, self.level, self.phase = touching
+        self.side = 0  # of the extremum, once it is known
 
     @classmethod
     def of(
@@ -58,6 +60,20 @@ class GrazingProblem(ExtendedProblem):
     def split(self, U: np.ndarray) -> tuple[np.ndarray, float, float]:
         """Return orbit and parameter of an unknown, and 0."""
         return U[:-1], float(U[-1]) / self._scale, 0.0
+
+    def _touching(self, inner: Any, u: np.ndarray, p: float) -> Extremum:
+        """Return the extremum next to the last one, or where that is another one the one nearest to the breakpoint."""
+        try:
+            top = extremum(inner, u, p, self.contact, self.phase)
+            if self.side in (0, top.side) and abs(top.phase - self.phase) < _NEAR:
+                return top
+        except NoConvergence:
+            pass
+        others = [e for e in extrema(waves(inner, u, p)[self.contact]) if self.side in (0, e.side)]
+        if not others:
+            raise NoConvergence("the extremum of the contact argument is lost: it merges with another one")
+        nearest = min(others, key=lambda e: abs(e.value - self.level))
+        return extremum(inner, u, p, self.contact, nearest.phase)
 
     def linearise(self, U: np.ndarray, q: float) -> tuple[np.ndarray, Any, np.ndarray]:
         """Return the extended residual, its Jacobian in the unknown and its derivative in q, all exact.
@@ -71,8 +87,8 @@ class GrazingProblem(ExtendedProblem):
         inner = self.at(q)
         F, J, Fp = inner.linearise(u, p)
         self._linear = J, Fp
-        top = extremum(inner, u, p, self.contact, self.phase)
-        self.phase = top.phase
+        top = self._touching(inner, u, p)
+        self.phase, self.side = top.phase, top.side
         names = [inner.parameter] + ([self.second] if self.second is not None else [])
         row, by = gradient(inner, u, p, self.contact, top.phase, names)
         Fq = np.zeros(len(U))
@@ -156,16 +172,12 @@ def touching(problem: Any, u: np.ndarray, p: float) -> tuple[int, float, float]:
     NoConvergence
         If no contact argument has an extremum.
     """
-    found = []
-    for i, (wave, contact) in enumerate(zip(waves(problem, u, p), problem.system.contacts, strict=True)):
-        samples = np.fft.irfft(wave, 8 * len(wave), norm="forward")
-        turns = np.flatnonzero((samples - np.roll(samples, 1)) * (np.roll(samples, -1) - samples) <= 0)
-        for place in turns:
-            try:
-                top = nearest_extremum(wave, 2 * np.pi * place / len(samples))
-            except NoConvergence:
-                continue
-            found += [(abs(top.value - level), i, level, top.phase) for level in contact.breakpoints]
+    found = [
+        (abs(top.value - level), i, level, top.phase)
+        for i, (wave, contact) in enumerate(zip(waves(problem, u, p), problem.system.contacts, strict=True))
+        for top in extrema(wave)
+        for level in contact.breakpoints
+    ]
     if not found:
         raise NoConvergence("no contact argument has an extremum")
     return min(found)[1:]

@@ -189,8 +189,8 @@ def first_node(leaving: Departure, side: float) -> Node:
         return _deflated_node(leaving, side)
     except NoConvergence as failure:
         raise NoConvergence(
-            f"the branch at {problem.parameter} = {p:.6g} can't be started: {reason}; with the parent deflated: {failure}; "
-            "try another step",
+            f"the branch at {problem.parameter} = {p:.6g} can't be started: {reason}; with the parent deflated: "
+            f"{failure}; try another step",
             parameter=p,
         ) from failure
 

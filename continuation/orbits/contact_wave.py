@@ -94,6 +94,25 @@ def nearest_extremum(wave: np.ndarray, phase: float) -> Extremum:
     raise NoConvergence("the extremum of the contact argument is lost: it merges with another one")
 
 
+def extrema(wave: np.ndarray) -> list[Extremum]:
+    """Return the local extrema of a trigonometric polynomial (half spectrum).
+
+    >>> [(round(e.phase, 6), round(e.value, 6)) for e in extrema(np.array([1.0, 0.5]))]
+    [(0.0, 2.0), (3.141593, 0.0)]
+    """
+    samples = np.fft.irfft(wave, 8 << max(len(wave) - 1, 2).bit_length(), norm="forward")
+    turns = np.flatnonzero((samples - np.roll(samples, 1)) * (np.roll(samples, -1) - samples) <= 0)
+    found: list[Extremum] = []
+    for place in turns:
+        try:
+            top = nearest_extremum(wave, 2 * np.pi * place / len(samples))
+        except NoConvergence:
+            continue
+        if all(abs(top.phase - other.phase) > 1e-6 for other in found):
+            found.append(top)
+    return found
+
+
 def gradient(
     problem: Any, u: np.ndarray, p: float, contact: int, phase: float, names: list[str]
 ) -> tuple[np.ndarray, list[float]]:

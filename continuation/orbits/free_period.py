@@ -2,7 +2,8 @@
 
 The System becomes a driven one whose right-hand side does not depend on the phase (``System.clocked``). The unknown is
 ``U = [u, s log(omega / omega_0)]`` and one equation is added, the phase condition of the guess: the correction
-``u - a`` of a guess a is orthogonal to da/dphase, so that of all its shifts in time the orbit nearest to the guess is taken
+``u - a`` of a guess a is orthogonal to da/dphase, so that of all its shifts in time the orbit nearest to the guess is
+taken
 (Seydel, Practical Bifurcation and Stability Analysis, section 7.1). One Floquet multiplier is 1, that of the flow
 direction; stability and test functions are those of the other n - 1.
 """
@@ -322,7 +323,7 @@ class FreePeriodProblem:
         found = solve_from(self, orbit, value)
         if not self._moving(self.unknown(found), value) > _FALLEN * before:
             raise NoConvergence(
-                f"the correction at {self.parameter} = {value:g} fell back on an equilibrium; start from a nearer cycle",
+                f"the correction at {self.parameter} = {value:g} fell back on an equilibrium; start nearer",
                 parameter=value,
                 orbit=orbit,
             )

@@ -280,7 +280,8 @@ class HarmonicBalanceProblem:
         """Return the operator that is singular exactly at a multiplier exp(2 pi i nu); real for nu = 0 and 1/2."""
         if nu == 0.0:
             last = self._last
-            return last[2] if last is not None and last[0] is u and last[1] is self.vector(p) else self.linearise(u, p)[1]
+            known = last is not None and last[0] is u and last[1] is self.vector(p)
+            return last[2] if known and last is not None else self.linearise(u, p)[1]
         return self.half_operator(u, p) if nu == 0.5 else ShiftedOperator(self, u, p, nu).matrix()
 
     def critical_form(self, u: np.ndarray, p: float, nu: float, v: np.ndarray, w: np.ndarray) -> CriticalForm:

@@ -1,4 +1,4 @@
-"""Critical operators of methods that have the monodromy matrix M itself: ``M - exp(2 pi i nu) I`` and its derivatives."""
+"""Critical operators of methods that have the monodromy matrix M: ``M - exp(2 pi i nu) I`` and its derivatives."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def critical_matrix(M: np.ndarray, nu: float) -> np.ndarray:
 
 
 def critical_form(form: RealForm, names: tuple[str, ...], nu: float, v: np.ndarray, w: np.ndarray) -> CriticalForm:
-    """Return the derivatives of ``conj(w) . (M - mu I) v`` from those of real forms ``a . M b`` in orbit and parameters.
+    """Return the derivatives of ``conj(w) . (M - mu I) v`` from real forms ``a . M b`` in orbit and parameters.
 
     Parameters
     ----------

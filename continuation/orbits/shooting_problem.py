@@ -13,7 +13,6 @@ from continuation.orbits.orbit import Orbit
 from continuation.orbits.sampled import sampled_orbit
 from continuation.orbits.shifted import CriticalForm
 from continuation.orbits.shooting_estimate import Estimate, crossing_error, estimate
-from continuation.timedomain.exact import describe
 
 _REMEMBERED = 1024  # error estimates kept
 _KEPT = 4  # paths kept, the normal and the tight one of the last points among them

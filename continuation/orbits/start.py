@@ -96,8 +96,8 @@ def solve_from(problem: Any, orbit: Orbit, value: float) -> Orbit:
         return correct_at(problem, problem.unknown(orbit), value)
     except NoConvergence as failure:
         raise NoConvergence(
-            f"no orbit at {problem.parameter} = {value:g} found from the one at {orbit.parameters[problem.parameter]:g}: {failure}; "
-            "take a smaller step, or trace the branch",
+            f"no orbit at {problem.parameter} = {value:g} found from the one at "
+            f"{orbit.parameters[problem.parameter]:g}: {failure}; take a smaller step, or trace the branch",
             failure.history,
             value,
             orbit,

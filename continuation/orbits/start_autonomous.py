@@ -15,7 +15,7 @@ from continuation.timedomain.runge_kutta import Kernel
 
 _RTOL = 1e-6  # of the integration that settles; the orbit itself is integrated a thousand times finer
 _STARTS = 3
-_STRETCHES = (20.0, 60.0, 200.0, 800.0)  # integration time in units of the fastest time of the start, until the next look
+_STRETCHES = (20.0, 60.0, 200.0, 800.0)  # integration time until the next look, first in 1, then in cycles
 _RETURNS = (4, 32)  # cycles looked at for a return, first and second look
 _CLOSE = 1e-3  # distance after a period over the size of the orbit that counts as a return
 _STILL = 1e-5  # movement over the largest state seen below which the flow has come to rest

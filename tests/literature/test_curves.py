@@ -1,4 +1,4 @@
-"""Curves in two parameters: against characteristic values, closed forms, and points located on branches of their own."""
+"""Curves in two parameters: against characteristic values, closed forms, and independently located points."""
 
 import casadi as ca
 import numpy as np
@@ -55,9 +55,9 @@ def test_doubling_curves_of_mathieu_are_characteristic_values():
     branch = follow(mathieu(), "a", (3.0, -0.3))
     found = sorted(points(branch, "period-doubling"), key=lambda p: p.parameter)
     for point, value, number in zip(found, (mathieu_b, mathieu_a), (1, 2), strict=True):
-        curve = track(point, parameters=("a", "q"), span={"q": (0.2, 5.0)})
+        curve = track(point, parameters=("a", "q"), span={"q": (0.5, 5.0)}, max_step=0.4)
         a, q = curve.values.T
-        assert sorted(q[[0, -1]]) == [0.2, 5.0]
+        assert sorted(q[[0, -1]]) == [0.5, 5.0]
         assert np.abs(a - value(1, q)).max() < 1e-9
         at_five = a[np.argmin(np.abs(q - 5.0))]
         assert at_five == pytest.approx(rs.MATHIEU_EDGES[5.0][number], abs=1.1e-9)
@@ -175,13 +175,15 @@ def test_an_extremum_is_where_two_torus_points_meet(absorber):
 
 def test_generalised_doubling_of_the_gear():
     """The direction of the doubling at 0.5226 turns there, and is the one that is said on either side."""
-    point = points(follow(rs.gear(), "frequency_ratio", (0.54, 0.4)), "period-doubling")[0]
+    point = points(
+        follow(rs.gear().with_parameters(mesh_damping_ratio=0.0345), "frequency_ratio", (0.54, 0.5)), "period-doubling"
+    )[0]
     assert point.criticality == "subcritical"
-    curve = track(point, parameters=("frequency_ratio", "mesh_damping_ratio"), span={"mesh_damping_ratio": (0.02, 0.037)},
-                  step=3e-3, max_step=3e-3)  # fmt: skip
+    names = "frequency_ratio", "mesh_damping_ratio"
+    curve = track(point, parameters=names, span={names[1]: (0.034, 0.037)}, step=1e-3, max_step=1e-3)
     (turn,) = (p for p in curve.points if p.kind == "generalised-doubling")
     assert max(turn.error) < 1e-7
-    ratio, damping = turn.parameters
+    damping = turn.parameters[1]
     for factor, direction in ((0.98, "subcritical"), (1.02, "supercritical")):
         system = rs.gear().with_parameters(mesh_damping_ratio=damping * factor)
         near = points(follow(system, "frequency_ratio", (0.54, 0.5)), "period-doubling")
@@ -205,8 +207,12 @@ def test_any_two_parameters():
 def test_a_doubling_of_an_autonomous_system():
     """By harmonic balance, against one located at another value of the second parameter."""
     x, y, z, alpha, b = rs.symbols("x", "y", "z", "alpha", "b")
-    system = System(name="third-order", states={"x": x, "y": y, "z": z}, parameters={"alpha": (alpha, 0.9), "b": (b, 1.0)},
-                    derivatives={"x": y, "y": z, "z": -alpha * z - b * y - x + x**2})  # fmt: skip
+    system = System(
+        name="third-order",
+        states={"x": x, "y": y, "z": z},
+        derivatives={"x": y, "y": z, "z": -alpha * z - b * y - x + x**2},
+        parameters={"alpha": (alpha, 0.9), "b": (b, 1.0)},
+    )
     doubling = points(follow(system, "alpha", (0.8, 0.6)), "period-doubling")[0]
     curve = track(doubling, parameters=("alpha", "b"), span={"b": (0.99, 1.01)})
     a_at, b_at = curve.values[-1]
@@ -230,3 +236,31 @@ def test_a_fold_of_cycles_by_collocation():
     U = problem.unknown(fold.orbit)
     with pytest.raises(UnsupportedModel, match="use Collocation or Shooting"):
         problem.critical_operator(U, fold.parameter, 0.0)
+
+
+def combination() -> System:
+    """Two linear oscillators coupled by cos(theta): multipliers meet on the unit circle near omega = 1 + k."""
+    x, v, y, w, theta, omega, k = rs.symbols("x", "v", "y", "w", "theta", "omega", "k")
+    pull = 0.6 * ca.cos(theta)
+    return System(
+        name="combination",
+        states={"x": x, "v": v, "y": y, "w": w},
+        derivatives={"x": v, "v": -0.05 * v - x - pull * y, "y": w, "w": -0.05 * w - k**2 * y - pull * x},
+        phase=theta,
+        frequency="omega",
+        parameters={"omega": (omega, 3.0), "k": (k, 2.2)},
+    )
+
+
+def test_strong_resonances_of_a_torus_curve():
+    """The rotation number is about 1/(1 + k): 1:3 near k = 2 and 1:4 near k = 3, where M has the multipliers said."""
+    branch = follow(combination(), "omega", (4.0, 2.6))
+    torus = points(branch, "neimark-sacker")[0]
+    curve = track(torus, parameters=("omega", "k"), span={"k": (1.8, 3.3)})
+    found = {p.kind: p for p in curve.points}
+    assert {"1:3", "1:4"} <= set(found)
+    for name, n in (("1:3", 3), ("1:4", 4)):
+        omega, k = found[name].parameters
+        assert k == pytest.approx(n - 1, abs=0.1)
+        M = rs.ExactFlow(combination(), omega=omega, k=k)(np.zeros(4))[1]
+        assert np.abs(np.linalg.eigvals(M) - np.exp(2j * np.pi / n)).min() < 1e-8

@@ -42,7 +42,7 @@ def test_accumulation_is_where_the_largest_exponent_changes_sign():
 
 
 def test_lorenz_cycles():
-    """Each doubled branch leaves the one before, all are followed to r = 200; T as printed, multipliers at the first."""
+    """Each doubled branch leaves the one before, all are followed to r = 200; periods as printed."""
     problem = Collocation(tolerance=1e-6).discretise(rs.lorenz(), "r")
     branch = trace(problem, problem.guess(r=235.0), (235.0, 200.0))
     table = (
@@ -61,7 +61,7 @@ def test_lorenz_cycles():
 
 
 def test_two_nearby_cycles_are_not_mixed_up():
-    """Near phase 0 the cycle of Lorenz's equations and its symmetric neighbour run side by side; one of them doubles."""
+    """Near phase 0 the cycle and its symmetric neighbour run side by side; one of them doubles."""
     problem = SHOOTING.discretise(rs.lorenz(), "r")
     branch = trace(problem, problem.guess(r=235.0), (235.0, 229.0))
     assert np.min(np.abs([o.mean("x") for o in branch.orbits])) > 0.5  # that of the symmetric one is 0
