@@ -34,7 +34,7 @@ def main() -> dict:
     smallest, largest = orbit.extremes("x")
     return {
         "branch": branch,
-        "folds": [p.parameter for p in branch.special_points],
+        "folds": [p.parameter for p in branch.special_points if p.kind == "fold"],
         "rms": orbit.rms("x"),
         "smallest": smallest,
         "dynamic factor": (largest - 1.0) / F_M,  # largest contact force over the mean one

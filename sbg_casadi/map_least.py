@@ -216,9 +216,9 @@ def turning(points: np.ndarray, i: int) -> tuple[float, float, float]:
         x, y = near[:, 0] - points[i, 0], near[:, 1] - points[i, 1]
         size = float(np.abs(x).max()) or 1.0
         fit = np.polynomial.Polynomial.fit(x / size, y, min(degree, len(near) - 1), domain=[-1, 1])
-        roots = fit.deriv().roots()
-        real = roots[np.abs(roots.imag) < 1e-9].real
-        best = real[np.argmin(np.abs(real))] if len(real) else 0.0
+        slope, bend, best = fit.deriv(), fit.deriv(2), 0.0
+        for _ in range(8):  # Newton's method; the extremum is within the points
+            best = float(np.clip(best - slope(best) / (bend(best) or 1.0), -1.0, 1.0))
         found.append((points[i, 0] + best * size, points[i, 1] + float(fit(best))))
     (p, q), (_, other) = found
     return float(p), float(q), abs(q - other) + 1e-12 * abs(q)

@@ -208,7 +208,7 @@ class ExtendedProblem:
             found = solve_bordered(J, Fp, row, unit)
             t = None if found is None else found[0][:, 0]
         else:
-            t = np.linalg.solve(np.block([[J, Fp[:, None]], [row]]), unit)[:, 0]
+            t = _solved(np.block([[J, Fp[:, None]], [row]]), unit[:, 0])
         if t is None:
             raise NoConvergence("the Jacobian is singular in orbit and parameter together")
         size = metric.length(t[:-1], float(t[-1]))
@@ -243,6 +243,14 @@ class ExtendedProblem:
         u, p, _ = self.split(U)
         finer = self.at(q).refined(u, p)
         return None if finer is None else np.append(finer, U[-self.extra :])
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
+    """Return the solution of a linear system, None where it is exactly singular."""
+    try:
+        return np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def extended(problem: Any, kind: Kind, u: np.ndarray, p: float, second: str | None = None) -> ExtendedProblem:

@@ -32,14 +32,15 @@ class IsolaSearch:
     Attributes
     ----------
     branches : tuple of Branch
-        Branches found that are none of the given ones: closed curves (isolas), or such as leave the span.
+        Branches found that are none of the given ones nor mirror images of them: closed curves (isolas), or such as
+        leave the span.
     isolas : tuple of Branch
         The closed curves among them.
     extrema : tuple of (float, float)
         Parameters (p, q) at which a tracked fold curve turns back in the second parameter: there an isola is born, or
         merges with another branch.
     slices : tuple of float
-        Parameter values at which scattered starts were made.
+        Parameter values at which scattered starts were made, all of them.
     starts : int
         Number of starts in all.
     notes : tuple of str
@@ -148,6 +149,7 @@ def find_isolas(
     for value in values:
         check_span((low, high), float(value))
     search = _Search(problem, branches, (low, high), step, max_step, max_points)
+    done: list[float] = []
     try:
         if second is not None:
             search.folds(second, progress)
@@ -155,11 +157,11 @@ def find_isolas(
             if progress is not None:
                 progress(i / len(values), f"isolas: {problem.parameter} = {value:.4g}")
             search.slice(float(value), starts, np.random.default_rng([seed, i]))
+            done.append(float(value))
     except KeyboardInterrupt:
         search.notes.append("interrupted; what was found up to there is kept")
     found = tuple(search.library.branches[len(branches) :])
-    done = tuple(float(v) for v in values)
-    return IsolaSearch(found, tuple(search.extrema), done, search.starts, tuple(dict.fromkeys(search.notes)))
+    return IsolaSearch(found, tuple(search.extrema), tuple(done), search.starts, tuple(dict.fromkeys(search.notes)))
 
 
 class _Search:
@@ -286,6 +288,8 @@ class _Search:
             self.notes.append(f"an orbit near {problem.parameter} = {p:.6g} could not be followed: {reason}")
             return False
         self.library.add(branch)
+        if "interrupted" in branch.stop:  # Ctrl-C while it was followed ends the search, too
+            raise KeyboardInterrupt
         return True
 
 

@@ -55,12 +55,14 @@ def describe(
 ) -> NormalForm | None:
     """Return the normal form of a point located on an extended system, None for any other.
 
+    Nor is it computed for many states, which it would take at every harmonic.
+
     Parameters
     ----------
     solutions : sequence of (system, unknown)
         Solutions of rising resolution, the first two at least where there are two.
     """
-    if not solutions:
+    if not solutions or getattr(getattr(problem, "inner", problem), "large", False):
         return None
     system, U = solutions[-1]
     if hasattr(getattr(problem, "inner", problem), "half_operator"):

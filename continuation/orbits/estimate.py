@@ -86,9 +86,7 @@ def _times_waveform(slope: np.ndarray, tail: np.ndarray) -> np.ndarray:
     return full[middle + n - 1 : middle + 2 * n - 1]
 
 
-def _changes(
-    problem: Any, u: np.ndarray, p: float, low: np.ndarray, unit: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _changes(problem: Any, u: np.ndarray, p: float, low: np.ndarray, unit: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a change (du, dp / unit) of orbit and parameter that ``low`` makes, and the direction of the branch.
 
     The matrix is bordered by a row that no branch is normal to in practice, so that it is regular at folds, too.

@@ -87,7 +87,10 @@ class CondensedHill:
     def multiplier(self, mu: complex, steps: int = 1) -> complex:
         """Return a multiplier over the orbit's period after Newton steps of its exponent."""
         turn = 2 * np.pi / self.frequency
-        return complex(np.exp(self.correct(complex(np.log(mu)) / turn, steps) * turn))
+        exponent = self.correct(complex(np.log(mu)) / turn, steps) * turn
+        if not exponent.real < 700.0:  # Newton's method ran away, or the multiplier is above the range of numbers
+            return complex(np.nan, np.nan)
+        return complex(np.exp(exponent))
 
     def _newton(
         self, s: complex, vectors: tuple[np.ndarray, np.ndarray] | None

@@ -39,11 +39,11 @@ def test_gear_pair():
     result = run("03_gear_pair.py")
     before, after = result["branches"]["before"], result["branches"]["after"]
     for branch in (before, after):
-        assert [p.kind for p in branch.special_points] == ["fold", "fold"]
+        assert [p.kind for p in branch.special_points if p.kind != "grazing"] == ["fold", "fold"]
         assert all(p.error < 1e-8 for p in branch.special_points)
         assert branch.unresolved == ()
-    hanging = [max(p.parameter for p in b.special_points) - min(p.parameter for p in b.special_points)
-               for b in (before, after)]  # fmt: skip
+    folds = [[p.parameter for p in b.special_points if p.kind == "fold"] for b in (before, after)]
+    hanging = [max(f) - min(f) for f in folds]
     assert hanging[1] < hanging[0] / 3  # far less of a jump after the modification
     assert result["largest rms"]["before"] == pytest.approx(0.757, abs=2e-3)
     assert result["largest rms"]["after"] == pytest.approx(0.505, abs=2e-3)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from continuation.branches.newton import Metric, correct
 from continuation.branches.screening import screen
 from continuation.branches.screening import tests as functions_of
+from continuation.errors import IntegrationFailed
 
 
 @given(st.integers(0, 10**6), st.integers(3, 8))
@@ -110,3 +111,44 @@ def test_three_crossings_of_one_kind():
     assert [s[0] for s in suspects] == [0, 0, 0]
     for (_, a, b), root in zip(suspects, roots, strict=True):
         assert a <= root <= b
+
+
+def test_functions_of_what_is_not_finite():
+    matrices = np.array([0.5 * np.eye(2), [[np.nan, 0.0], [0.0, 1.0]], [[np.inf, 0.0], [0.0, 0.1]], 2.0 * np.eye(2)])
+    found = functions_of(matrices)
+    assert np.isfinite(found).all(axis=1).tolist() == [True, False, False, True]
+    assert found[0] == pytest.approx([0.25, 2.25, 0.75])
+
+
+def lost(p):
+    """A multiplier that is not known for p in (0.2, 0.3)."""
+    return np.nan if 0.2 < p < 0.3 else 0.1
+
+
+@pytest.mark.parametrize("step", [0.05, 0.1])
+def test_a_matrix_that_is_not_finite_gives_a_note_and_hides_nothing_else(step):
+    suspects, notes = found(Straight(lambda p: 1.8 - p / 0.9, lost), step)  # 1 at p = 0.72
+    assert [test for test, _, _ in suspects] == [0]
+    assert suspects[0][1] <= 0.72 <= suspects[0][2]
+    assert notes
+    for note in notes:
+        assert note.endswith("the monodromy matrix is not finite, special points may be missing")
+        low, high = (float(v) for v in note.split("[")[1].split("]")[0].split(", "))
+        assert low < 0.3
+        assert high > 0.2
+
+
+class Fragile(Straight):
+    """The same where the integration of one point of a batch fails."""
+
+    def monodromies(self, points):
+        if any(0.2 < p < 0.3 for _, p in points):
+            raise IntegrationFailed("the state runs away", 0.0, {})
+        return super().monodromies(points)
+
+
+def test_an_integration_that_fails_is_a_point_without_a_matrix():
+    suspects, notes = found(Fragile(lambda p: 1.8 - p / 0.9, lambda p: 0.1), 0.1)
+    assert [test for test, _, _ in suspects] == [0]
+    assert notes
+    assert all("is not finite" in note for note in notes)
