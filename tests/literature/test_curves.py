@@ -261,6 +261,6 @@ def test_strong_resonances_of_a_torus_curve():
     assert {"1:3", "1:4"} <= set(found)
     for name, n in (("1:3", 3), ("1:4", 4)):
         omega, k = found[name].parameters
-        assert k == pytest.approx(n - 1, abs=0.1)
+        assert k == pytest.approx(n - 1, abs=0.2)  # of first order in the gain
         M = rs.ExactFlow(combination(), omega=omega, k=k)(np.zeros(4))[1]
         assert np.abs(np.linalg.eigvals(M) - np.exp(2j * np.pi / n)).min() < 1e-8
