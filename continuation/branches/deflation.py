@@ -54,7 +54,7 @@ def deflated(problem: Any, u: np.ndarray, p: float, known: Sequence[np.ndarray],
     ...         return u**2 - p, np.diag(2 * u), -np.ones(1)
     ...     def lengthen(self, u, like):
     ...         return u
-    >>> deflated(Parabola(), np.array([2.1]), 4.0, [np.array([2.0])]).round(8).tolist()
+    >>> deflated(Parabola(), np.array([-1.0]), 4.0, [np.array([2.0])]).round(8).tolist()
     [-2.0]
     """
     poles = [problem.lengthen(k, u) for k in known]

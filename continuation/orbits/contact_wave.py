@@ -97,7 +97,7 @@ def nearest_extremum(wave: np.ndarray, phase: float) -> Extremum:
 def extrema(wave: np.ndarray) -> list[Extremum]:
     """Return the local extrema of a trigonometric polynomial (half spectrum).
 
-    >>> [(round(e.phase, 6), round(e.value, 6)) for e in extrema(np.array([1.0, 0.5]))]
+    >>> [(round(float(e.phase), 6), round(float(e.value), 6)) for e in extrema(np.array([1.0, 0.5]))]
     [(0.0, 2.0), (3.141593, 0.0)]
     """
     samples = np.fft.irfft(wave, 8 << max(len(wave) - 1, 2).bit_length(), norm="forward")

@@ -282,7 +282,7 @@ def test_a_right_hand_side_that_is_not_finite_is_named():
         system = System(name="root", states={"x": x}, derivatives={"x": law}, phase=theta, frequency="omega",
                         parameters={"omega": (omega, 1.0)})  # fmt: skip
         problem = Collocation(intervals=10).discretise(system, "omega")
-        with pytest.raises(NoConvergence, match=r"not finite near parameter value 1$|not converge") as caught:
+        with pytest.raises(NoConvergence, match=r"not finite near parameter value 1|not converge") as caught:
             problem.solve(rs_orbit(system), 1.0)
         assert caught.value.parameter == 1.0
         with pytest.raises(NoConvergence, match="no periodic orbit"):

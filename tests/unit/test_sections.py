@@ -61,7 +61,8 @@ def test_crossing_of_a_level_does_not_change_the_motion(integrator):
     heights = maxima.column("z")
     assert heights.min() > 27
     order = np.argsort(heights[:-1])
-    rises = np.diff(heights[1:][order]) > 0
+    apart = np.diff(heights[:-1][order]) > 0.2  # the attractor is a thin sheet, not quite a line
+    rises = np.diff(heights[1:][order])[apart] > 0
     assert np.all(rises[: np.argmin(rises)])  # the map of one maximum to the next rises, then falls
     assert not np.any(rises[np.argmin(rises) :])
 
