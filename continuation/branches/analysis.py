@@ -42,15 +42,16 @@ def analyse(
         if len(nodes) > 1:
             nodes, suspects, notes = screen(problem, nodes, metric)
             notes += _vertical(problem, nodes, metric)
-            found: list[Located | str] = [locate(s) for s in _with_turns(problem, nodes, metric, suspects)]
+            for suspect in _with_turns(problem, nodes, metric, suspects):
+                _sort(locate(suspect), located, notes)
             if functions:
                 nodes, zeros, open_ = search_functions(problem, nodes, metric, functions)
-                found += zeros
+                located += zeros
                 notes += open_
             touches, open_ = search(problem, nodes, metric)
-            found += [locate_touch(t) for t in touches]
-            located = [s for s in found if isinstance(s, Located)]
-            notes += open_ + [s for s in found if isinstance(s, str) and s]
+            notes += open_
+            for touch in touches:
+                _sort(locate_touch(touch), located, notes)
     except KeyboardInterrupt:
         stop += "; interrupted while special points were searched: the orbits are kept, points may be missing"
     place = {id(n): i for i, n in enumerate(nodes)}
@@ -77,6 +78,14 @@ def analyse(
     }
     notes += _unexplained(path, points, problem.system.autonomous)
     return Branch(tuple(path), tuple(points), stop, work, provenance, tuple(dict.fromkeys(notes)))
+
+
+def _sort(found: Located | str, located: list[Located], notes: list[str]) -> None:
+    """Add what was found to the points, or to the notes unless there is nothing to say."""
+    if isinstance(found, Located):
+        located.append(found)
+    elif found:
+        notes.append(found)
 
 
 def _error(problem: Any, node: Node) -> float:
