@@ -170,6 +170,7 @@ def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node], index: int
         problem=problem,
         node=_as_on_branch(problem, s),
         form=describe(problem, s.kind, orbit, s.nu, s.solutions),
+        span=(min(n.p for n in nodes), max(n.p for n in nodes)),
     )
 
 

@@ -56,6 +56,9 @@ class SpecialPoint:
         when loaded from a file.
     form : NormalForm or None
         Critical eigenvector, direction, rotation number; None where they are not computed.
+    span : tuple of float
+        Parameter range of the branch it was found on, in which other branches are followed from it unless told
+        otherwise; None when loaded from a file.
     """
 
     kind: Kind
@@ -69,6 +72,7 @@ class SpecialPoint:
     problem: Any = field(default=None, repr=False)
     node: Any = field(default=None, repr=False)
     form: NormalForm | None = None
+    span: tuple[float, float] | None = None
 
     @property
     def multipliers(self) -> np.ndarray:

@@ -8,9 +8,9 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from continuation.branches.arclength import Progress, check_span
+from continuation.branches.arclength import Progress
 from continuation.branches.branch import CRITICAL, Branch, SpecialPoint
-from continuation.branches.switching import switch
+from continuation.branches.switching import span_of, switch
 from continuation.errors import ContinuationError
 
 FEIGENBAUM = 4.669201609102990  # limit of the ratios of a cascade of a quadratic maximum (Feigenbaum 1978)
@@ -110,7 +110,7 @@ class Cascade:
 
 def cascade(
     point: SpecialPoint,
-    span: tuple[float, float],
+    span: tuple[float, float] | None = None,
     *,
     max_period: int = 64,
     step: float | None = None,
@@ -123,8 +123,9 @@ def cascade(
     ----------
     point : SpecialPoint
         A period-doubling of a branch traced by any method.
-    span : (float, float)
-        Parameter range that must contain the point; orbits are not followed out of it.
+    span : (float, float), optional
+        Parameter range that must contain the point; orbits are not followed out of it. Default that of the branch the
+        point was found on.
     max_period : int
         Orbits of more excitation periods are not followed.
     step, max_step : float, optional
@@ -163,7 +164,7 @@ def cascade(
     """
     if point.kind != "period-doubling":
         raise ValueError(f"cascade: expected a period-doubling, got a {point.kind}")
-    low, high = check_span(span, point.parameter)
+    low, high = span_of(point, span)
     doublings, branches = [point], []
     ended: Ending = "limit"
     reason = ""

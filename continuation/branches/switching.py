@@ -41,9 +41,17 @@ class Departure:
     limits: Limits
 
 
+def span_of(point: SpecialPoint, span: tuple[float, float] | None) -> tuple[float, float]:
+    """Return the checked span in which a branch is followed from a point, by default that of the point's own branch."""
+    span = span or point.span
+    if span is None:
+        raise ValueError("a special point loaded from a file has no problem to go on with; trace its branch again")
+    return check_span(span, point.parameter)
+
+
 def switch(
     point: SpecialPoint,
-    span: tuple[float, float],
+    span: tuple[float, float] | None = None,
     *,
     step: float | None = None,
     max_step: float | None = None,
@@ -56,8 +64,8 @@ def switch(
     ----------
     point : SpecialPoint
         A period-doubling or branch point of a branch traced by any method, not loaded from a file.
-    span : (float, float)
-        Parameter range, which must contain the point.
+    span : (float, float), optional
+        Parameter range, which must contain the point; default that of the branch the point was found on.
     step, max_step : float, optional
         First and largest arclength step in units of the parameter, default 1/500 and 1/40 of the span.
 
@@ -96,7 +104,7 @@ def switch(
     (2, [('period-doubling', 0.28669316)])
     """
     began = time.perf_counter()
-    limits = Limits.of(check_span(span, point.parameter), step, max_step, max_points, parts=500.0)
+    limits = Limits.of(span_of(point, span), step, max_step, max_points, parts=500.0)
     branch = follow(departure(point, limits), progress, began)
     assert branch is not None  # nothing is known that it could be
     return branch

@@ -10,8 +10,8 @@ import numpy as np
 from continuation.branches.newton import size_of
 from continuation.branches.sparse_bordered import factorised, solve_bordered
 from continuation.orbits.collocation_mesh import Mesh, Monitor, table
+from continuation.orbits.near_fold import measures_error
 
-_FOLD = 100.0  # ratio of the error at fixed parameter to the shortest way back that tells a fold is close
 _ROUNDING = 1e-14  # of the size, times the number of intervals
 
 
@@ -24,7 +24,7 @@ class Estimate:
     ``dfrequency`` is the relative change of the frequency that goes with it for an autonomous System. ``error`` is the
     largest distance from u to it; ``ends`` the part of that at the ends of the intervals, which falls with the power
     2m of their lengths, not m + 1. ``shortest`` and ``dp`` are distance and parameter change to the nearest point.
-    ``monitor`` tells where intervals are needed.
+    ``at_fold`` tells that only that is known. ``monitor`` tells where intervals are needed.
     """
 
     mesh: Mesh
@@ -35,6 +35,7 @@ class Estimate:
     dp: float
     shortest: float
     ends: float
+    at_fold: bool
     monitor: Monitor
 
 
@@ -51,7 +52,8 @@ def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
     nearest = float(x @ y) / (float(y @ y) + size**2)
     shortest, fixed = (finer.largest(finer.values(v)) for v in (x - nearest * y, x))
     finite = bool(np.isfinite(fixed + shortest))
-    d = nearest if fixed >= _FOLD * shortest else 0.0
+    at_fold = finite and not measures_error(fixed, shortest, size)
+    d = nearest if at_fold else 0.0
     step = x - d * y if finite else np.zeros_like(x)
     rounding = _ROUNDING * size * mesh.count
     last = table(finer.degree).to_legendre[-1] @ finer.values(start + step)[finer.index]  # (N, n)
@@ -60,10 +62,11 @@ def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
         better=start + step,
         shift=d * unit if finite else 0.0,
         dfrequency=float(turn[0] - d * turn[1]) if finite else 0.0,
-        error=(shortest if d else fixed) + rounding if finite else np.inf,
+        error=(shortest if at_fold else fixed) + rounding if finite else np.inf,
         dp=nearest * unit if finite else 0.0,
         shortest=shortest + rounding if finite else np.inf,
         ends=float(np.abs(finer.values(step)[finer.index[:, 0]]).max(initial=0.0)),
+        at_fold=at_fold,
         monitor=Monitor.of(mesh.ends, np.abs(last).max(axis=1), mesh.degree),
     )
 

@@ -11,6 +11,7 @@ from continuation.orbits.collocation_equations import products
 from continuation.orbits.collocation_mesh import Mesh
 from continuation.orbits.floquet import FLOOR, build_orbit, distance
 from continuation.orbits.monodromy import multipliers
+from continuation.orbits.near_fold import side_unknown
 from continuation.orbits.orbit import Orbit
 
 _FEWEST, _MOST = 256, 32768  # samples per orbit
@@ -63,6 +64,8 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
         bar = _bar(distance(mu[i], other[i]), error / size_of(u)) + distance(mu[i], again[i]) + FLOOR
         explained = float(np.sum(bar / np.maximum(np.abs(mu[i]), 1e-300)))
         bar += np.abs(mu[i]) * max(abs(defect[i]) - explained, 0.0)
+        if problem.estimate(u, p).at_fold:
+            bar = side_unknown(mu[i], bar, bool(problem.free))
         orbits.append(build_orbit(problem, p, fourier(problem, u, p, error), mu[i], bar, error))
     return orbits
 

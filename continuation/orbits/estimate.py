@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from continuation.branches.newton import size_of
+from continuation.orbits.near_fold import measures_error
 from continuation.orbits.spectrum import pack, unpack
-
-_FOLD = 100.0  # ratio of the error at fixed parameter to the shortest way back that tells a fold is close
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +17,14 @@ class Estimate:
     """First-order error of a point (u, p): what the harmonics left out would add and change.
 
     ``step`` (twice the harmonics or more), ``dp`` and, for an autonomous System, ``dfrequency`` (relative) are the
-    shortest way back to the branch, ``shortest`` its size in the waveform; ``error`` is twice the error at fixed
-    parameter, or twice ``shortest`` next to a fold, where the first is no measure, plus what the stated error of a
-    fitted receptance may change. ``port_load`` (H+1, m) is what the ports load the states with.
+    shortest way back to the branch, ``shortest`` its size in the waveform; ``fixed`` is the change at the same
+    parameter, None next to a fold, where that is no measure. ``error`` is twice the size of ``fixed``, or of ``step``
+    where there is none, plus what the stated error of a fitted receptance may change. ``port_load`` (H+1, m) is what
+    the ports load the states with.
     """
 
     step: np.ndarray
+    fixed: np.ndarray | None
     dp: float
     dfrequency: float
     shortest: float
@@ -43,21 +44,24 @@ def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
     weights[len(u) :] = 0.0
     weights[-1] = size_of(u) ** 2
     least = z - float(z @ (weights * t)) / float(t @ (weights * t)) * t
-    fixed = np.inf
-    if abs(t[-1]) > 0:
-        tail[: H + 1] = unpack((z - z[-1] / t[-1] * t)[: len(u)], k)
-        fixed = waveform_size(pack(tail), k)
     tail[: H + 1] = unpack(least[: len(u)], k)
     step = pack(tail)
-    shortest = waveform_size(step, k)
-    error = fixed if fixed < _FOLD * shortest else shortest
+    error = shortest = waveform_size(step, k)
+    fixed = None
+    if abs(t[-1]) > 0:
+        tail[: H + 1] = unpack((z - z[-1] / t[-1] * t)[: len(u)], k)
+        there = pack(tail)
+        size = waveform_size(there, k)
+        if measures_error(size, shortest, waveform_size(u, k)):
+            fixed, error = there, size
     dp = float(least[-1])
     turn = float(least[-2]) if problem.free else 0.0
-    return Estimate(step, dp * unit, turn, shortest, 2 * error + _of_receptance(problem, u, p, load), load)
+    return Estimate(step, fixed, dp * unit, turn, shortest, 2 * error + _of_receptance(problem, u, p, load), load)
 
 
 def _left_out(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the harmonics left out (n, k), what they add to the balance of those kept (H+1, k), and the port load."""
+    """Return the harmonics left out (n, k), what the balance of those kept (H+1, k)
+    lacks, by what those left out add and by Newton's remainder, and the port load."""
     k = problem.ports.outputs
     Y = unpack(u, k)
     H = len(Y) - 1
@@ -73,7 +77,7 @@ def _left_out(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.nda
     tail[H + 1 :] = -R[H + 1 :] / own[:, 0] if k == 1 else -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
     # what the tail does to the harmonics kept: the port force it adds, through the linearised balance
     added = _times_waveform(force.slope, tail)[: H + 1]
-    return tail, product(transfer[: H + 1], added[..., None])[..., 0], V[: H + 1]
+    return tail, product(transfer[: H + 1], added[..., None])[..., 0] - R[: H + 1], V[: H + 1]
 
 
 def _times_waveform(slope: np.ndarray, tail: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from continuation.orbits.contact_residual import contact_defect
 from continuation.orbits.contact_series import ContactPattern
 from continuation.orbits.hill import CondensedHill
 from continuation.orbits.monodromy import flow_of, monodromy, multipliers, transition_matrices
+from continuation.orbits.near_fold import side_unknown
 from continuation.orbits.orbit import Orbit, Stability
 from continuation.orbits.patterns import Contacts, contact_patterns, named
 from continuation.orbits.products import product_eigenvalues
@@ -20,6 +21,8 @@ FLOOR = 1e-10  # relative error of the transition integrator
 _ROUNDING = 1e-12  # the same of the whole matrix, which ill-conditioned multipliers magnify
 _WIDE = 1e8  # spread of the multipliers above which the product of the pieces is not formed
 _CRITICAL = 10.0  # multiples of the error bar within which a multiplier decides the verdict narrowly
+_AMPLIFIED = 3.0  # change at fixed parameter over the shortest that tells that a fold amplifies the error
+_DOUBT = 0.25  # of that change: first-order estimates of harmonics left out are about as good
 _SAME = 1e-9  # phase error in rad below which contact changes are those of the orbit
 
 
@@ -28,30 +31,53 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
 
     The error bar of a multiplier is the larger of the integrator's estimate and, where asked, its difference from
     Hill's method. The estimate is twice the change when the waveform is moved by its estimated error, plus Liouville's
-    defect, plus what contact phases that are not the orbit's own and rounding may make. Hill's method is asked for the
+    defect, plus what contact phases that are not the orbit's own and rounding may make, plus next to a fold a quarter
+    of the change along the branch, which may cancel the change across it. Hill's method is asked for the
     leading multiplier of every orbit and for those that decide the verdict by less than ten error bars. An orbit with a
-    multiplier within its error bar of the unit circle is undecided.
+    multiplier within its error bar of the unit circle is undecided; so is one that lies at a fold to within its error,
+    where it is not known on which side.
     """
-    moved = []
-    for u, p, _ in points:
-        estimate, k = problem.estimate(u, p), problem.ports.outputs
-        longer = resize(u, k, (len(estimate.step) // k - 1) // 2)
-        moved.append((longer + estimate.step, p + estimate.dp))
     own = [(u, p) for u, p, _ in points]
-    flow = monodromy(problem, own + moved)
-    mu, reach, rounding = spectra(problem, own, flow.matrices[: len(own)])
-    shifted = multipliers(flow.matrices[len(own) :])
-    for i in wide(mu):
-        shifted[i] = from_pieces(problem, *moved[i])[0]
+    estimates = [problem.estimate(u, p) for u, p in own]
+    there, back = [_moved(problem, *o, e, e.fixed) for o, e in zip(own, estimates, strict=True)], {}
+    for i, e in enumerate(estimates):
+        if e.fixed is not None and e.error > 2 * _AMPLIFIED * e.shortest:
+            back[i] = _moved(problem, *own[i], e, None)
+    flow = monodromy(problem, own + there + list(back.values()))
+    n = len(own)
+    mu, reach, rounding = spectra(problem, own, flow.matrices[:n])
+    shifted = _all_multipliers(problem, there, flow.matrices[n : 2 * n], wide(mu))
+    nearest = dict(zip(back, multipliers(flow.matrices[2 * n :]), strict=True))
     orbits = []
     for i, (u, p, error) in enumerate(points):
         defect, effect = contact_defect(problem, u, p, flow.patterns[i])
         bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + rounding[i] + effect * reach[i]
+        if i in nearest:
+            bar = bar + _DOUBT * distance(shifted[i], nearest[i])
+        if estimates[i].fixed is None:
+            bar = side_unknown(mu[i], bar, bool(problem.free))
         opinion = second_opinion(problem, u, p, mu[i], bar, flow.patterns[i] if defect < _SAME else None)
         contacts = named(problem.system, list(flow.patterns[i]), problem.period_multiple)
         states = problem.state_spectrum(u, p)
         orbits.append(build_orbit(problem, p, states, mu[i], np.fmax(bar, opinion), error, contacts, opinion))
     return orbits
+
+
+def _moved(problem: Any, u: np.ndarray, p: float, estimate: Any, fixed: np.ndarray | None) -> tuple[np.ndarray, float]:
+    """Return (u, p) moved by its estimated error at the same parameter, or the shortest way where that is None."""
+    k = problem.ports.outputs
+    step, dp = (estimate.step, estimate.dp) if fixed is None else (fixed, 0.0)
+    return resize(u, k, (len(step) // k - 1) // 2) + step, p + dp
+
+
+def _all_multipliers(
+    problem: Any, points: list[tuple[np.ndarray, float]], matrices: np.ndarray, widely: np.ndarray
+) -> np.ndarray:
+    """Return multipliers (N, n) of monodromy matrices, of those that spread widely from the pieces."""
+    out = multipliers(matrices)
+    for i in widely:
+        out[i] = from_pieces(problem, *points[i])[0]
+    return out
 
 
 def spectra(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from continuation.orbits.floquet import FLOOR, build_orbit, conditioned, distance
+from continuation.orbits.near_fold import side_unknown
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.patterns import contact_names
 from continuation.orbits.products import product_eigenvalues
@@ -33,6 +34,8 @@ def sampled_orbit(problem: Any, u: np.ndarray, p: float, error: float) -> Orbit:
     rough, best = problem.path(u, p), problem.path(u + at.step, p + at.dp, tight=True, turn=at.dfrequency)
     mu, rounding = _multipliers(best)
     bar = 2 * distance(mu, _multipliers(rough)[0]) + rounding
+    if at.at_fold:
+        bar = side_unknown(mu, bar, problem.free is not None)
     spectrum, left, off = _spectrum(problem, rough, best)
     contacts = dict(zip(contact_names(problem.system), rough.contacts(), strict=True))
     return build_orbit(problem, p, spectrum, mu, bar, max(error, 2 * off) + 1.5 * left, contacts)

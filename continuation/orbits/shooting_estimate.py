@@ -9,9 +9,9 @@ import numpy as np
 import scipy.linalg as sl
 
 from continuation.branches.newton import size_of
+from continuation.orbits.near_fold import measures_error
 
 _DEPENDENT = 1e-12  # relative size below which directions count as dependent
-_FOLD = 100.0  # ratio of the change at fixed parameter to the shortest one that tells a fold is close
 _ALONG = 1e-6  # of the size of a point: distance along the branch over which multipliers are compared
 
 
@@ -30,12 +30,15 @@ class Estimate:
         Change of the parameter, and the relative one of the frequency of an autonomous System; else 0.
     error : float
         Twice the largest change of a state.
+    at_fold : bool
+        Whether a fold is so near that only the shortest change is known.
     """
 
     step: np.ndarray
     dp: float
     dfrequency: float
     error: float
+    at_fold: bool
 
 
 def estimate(problem: Any, u: np.ndarray, p: float, across: bool = False) -> Estimate:
@@ -53,13 +56,14 @@ def estimate(problem: Any, u: np.ndarray, p: float, across: bool = False) -> Est
     push = unit / size * problem.parameter_derivative(u, p, problem.parameter)
     problem.factorisations += 2
     change = shortest(np.column_stack([matrix, push]), -residual)
+    at_fold = False
     if not across:
         fixed = np.append(shortest(matrix, -residual), 0.0)
-        if np.linalg.norm(fixed) < _FOLD * np.linalg.norm(change):
-            change = fixed
+        at_fold = not measures_error(float(np.linalg.norm(fixed)), float(np.linalg.norm(change)), size)
+        change = change if at_fold else fixed
     turn = float(change[n]) / size if problem.free is not None else 0.0
     error = 2 * float(abs(problem.states(change[:n])).max())
-    return Estimate(change[:n], float(change[-1]) * unit / size, turn, error)
+    return Estimate(change[:n], float(change[-1]) * unit / size, turn, error, at_fold)
 
 
 def shortest(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

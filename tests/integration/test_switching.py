@@ -53,6 +53,11 @@ def test_amplitude_of_the_doubled_orbits_grows_like_a_square_root(parent):
     assert slope == pytest.approx(0.5, abs=0.01)
 
 
+def test_span_is_that_of_the_parent_unless_given(parent):
+    branch = switch(only(parent, "period-doubling"))
+    assert branch.stop == "reached g = 0.267"
+
+
 @pytest.mark.parametrize("step", [1e-5, 1e-3])
 def test_never_back_on_the_parent(parent, step):
     """Newton's method at a fixed parameter beside the point falls back from the first orbits of the new branch."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference_systems as rs
 
-from continuation import Contact, HarmonicBalance, NoConvergence, Shooting, System
+from continuation import Collocation, Contact, HarmonicBalance, NoConvergence, Shooting, System, trace
 from continuation.branches.newton import Metric, correct, size_of
 from continuation.orbits.contact_series import find_pattern
 from continuation.orbits.spectrum import resize, unpack
@@ -203,3 +203,39 @@ def test_smooth_waveform_converges_faster_than_any_power(build, omega):
     assert np.all(np.diff(falls[: resolved.sum() + 1]) > 0)
     assert falls.max() > 8
     assert found[-1] < 1e-12
+
+
+@pytest.fixture(scope="module")
+def folds():
+    """Branches through a fold: system, span, and the orbit before the fold that its neighbours start from."""
+    out = {}
+    for build, span in ((rs.backlash, (0.95, 0.65)), (rs.duffing, (1.0, 1.3))):
+        problem = HarmonicBalance().discretise(build(), "omega")
+        branch = trace(problem, problem.guess(omega=span[0]), span)
+        out[build] = next(p for p in branch.special_points if p.kind == "fold"), branch
+    return out
+
+
+@pytest.mark.parametrize(
+    ("build", "method"),
+    [
+        (rs.backlash, HarmonicBalance()),
+        (rs.backlash, Shooting()),
+        (rs.duffing, HarmonicBalance()),
+        (rs.duffing, Shooting()),
+        (rs.duffing, Collocation()),
+    ],
+)
+@pytest.mark.parametrize("distance", [1e-5, 1e-8, 1e-10, 1e-11])
+def test_bars_next_to_a_fold_hold_the_multiplier_at_the_same_parameter(folds, build, method, distance):
+    fold, branch = folds[build]
+    before = branch.orbits[fold.index]
+    value = fold.parameter - distance * np.sign(fold.parameter - before.value)
+    problem = method.discretise(build(), "omega")
+    orbit = problem.solve(problem.from_orbit(before), value)
+    exact = Shooting(rtol=1e-13, atol=1e-14).discretise(build(), "omega").from_orbit(orbit)
+    i, j = (int(np.argmin(abs(o.multipliers - 1))) for o in (orbit, exact))
+    off = abs(orbit.multipliers[i] - exact.multipliers[j])
+    assert off <= orbit.multiplier_error[i] + exact.multiplier_error[j]
+    assert orbit.multiplier_error[i] < 0.1 * np.sqrt(distance) + 1e-8 / np.sqrt(distance)  # and says something
+    assert orbit.stability in (exact.stability, "undecided")
