@@ -31,9 +31,9 @@ def _stop(x: ca.SX, theta: ca.SX, **extra: ca.SX) -> Contact:
     return Contact(argument=x, breakpoints=(0.5,), slopes=(0.0, 1.0), name="stop")
 
 
-def hertz(anywhere: bool = False) -> System:
-    """A Hertzian stop: its force is the 3/2 power of the penetration; finite beyond the corner, too, if wanted."""
-    return _oscillator("hertz", _stop, lambda f, x, v, t, k: k * (ca.fabs(f) if anywhere else f) ** 1.5, k=2.0)
+def hertz() -> System:
+    """A Hertzian stop: its force is the 3/2 power of the penetration."""
+    return _oscillator("hertz", _stop, lambda f, x, v, t, k: k * f**1.5, k=2.0)
 
 
 def hertz_in_the_open() -> System:

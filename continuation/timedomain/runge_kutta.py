@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 
 from continuation.model.compiled import compiled_function
+from continuation.model.extension import extended
 from continuation.model.machine_code import NoMachineCode
 from continuation.model.system import System
 from continuation.timedomain import dormand_prince as dp
@@ -42,7 +43,7 @@ class StepFunctions:
         omega = system.p[system.parameter_names.index(str(system.frequency))]
         rate, gains = system.derivative / omega, ca.jacobian(system.derivative, system.phi) / omega
         if m:
-            rate, gains = ca.substitute([rate, gains], [system.phi], [force])
+            rate, gains = ca.substitute([rate, gains], [system.phi], [extended(system, force)])
         self._point = [system.x, system.theta, system.p, slopes, intercepts]
         self._rate, self._gains, self._met = rate, gains, system.arguments
         self._field = ca.Function("field", self._point, [rate])

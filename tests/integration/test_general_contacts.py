@@ -26,7 +26,7 @@ def oscillator(acceleration, law, **values):
 @pytest.mark.parametrize(
     ("name", "build"),
     [
-        ("hertz", lambda: general.hertz(anywhere=True)),
+        ("hertz", general.hertz),
         ("hunt", general.hunt_crossley),
         ("squared", general.squared_backlash),
         ("bent", general.bent_argument),
