@@ -325,10 +325,19 @@ class HarmonicBalanceProblem:
         goal = method.tolerance * size_of(u)
         if error > goal and method.max_harmonics > H:
             return resize(resize(u, k, 2 * H + 1) + estimate.step, k, min(2 * H + 1, method.max_harmonics)), error
+        shorter = self._shortened(u, p)
+        return (u if shorter is None else shorter), error
+
+    def _shortened(self, u: np.ndarray, p: float) -> np.ndarray | None:
+        """Return u with half the harmonics, or None where those left out are not far below the tolerance."""
+        k = self.ports.outputs
+        H = (len(u) // k - 1) // 2
         half = (H - 1) // 2
-        if half >= max(7, self.forced(p)) and waveform_size(u - resize(resize(u, k, half), k, H), k) < goal / 10:
-            return resize(u, k, half), error
-        return u, error
+        if half < max(7, self.forced(p)):
+            return None
+        shorter = resize(u, k, half)
+        lost = waveform_size(u - resize(shorter, k, H), k)
+        return shorter if lost < self.method.tolerance * size_of(u) / 10 else None
 
     def lengthen(self, u: np.ndarray, like: np.ndarray) -> np.ndarray:
         """Pad or truncate u to the length of another vector."""
@@ -398,7 +407,10 @@ class HarmonicBalanceProblem:
         u, k = pack(Y), self.ports.outputs
         if self.method.harmonics is not None:
             return resize(u, k, self.method.harmonics)
-        return resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self.forced(value)))))
+        u = resize(u, k, max(7, ladder(max(orbit.harmonic_count * ratio, self.forced(value)))))
+        while (shorter := self._shortened(u, value)) is not None:  # other methods keep more harmonics than are needed
+            u = shorter
+        return u
 
     def orbits(self, points: list[tuple[np.ndarray, float, float]]) -> list[Orbit]:
         """Return Orbits with certified multipliers for corrected points (u, p, waveform error), in one batch."""
