@@ -46,6 +46,18 @@ def size_of(u: np.ndarray) -> float:
     return size if size > 1e-12 else 1.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Factors:
+    """LU factors of the matrix of a Newton step, bordered by the parameter column and a row: (N+1, N+1)."""
+
+    lu: np.ndarray
+    pivots: np.ndarray
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Return the solution (N+1, K) for right-hand sides (N+1, K), which are overwritten where LAPACK can."""
+        return np.asarray(sl.lapack.dgetrs(self.lu, self.pivots, right, overwrite_b=True)[0])
+
+
 @dataclass(frozen=True, slots=True)
 class Metric:
     """Arclength ds^2 = |du|^2 / size^2 + dp^2 / span^2."""
@@ -117,7 +129,7 @@ def correct(
     F, J, Fp = _linearise(problem, u, p, history)
     for count in range(1, iterations + 1):
         history.append(float(np.linalg.norm(F)))
-        step, tangent, sign = _solve(J, Fp, F, border, history, p)
+        step, tangent, sign, factors = _solve(J, Fp, F, border, history, p)
         du, dp = step[:-1], float(step[-1])
         size = metric.length(du, dp)
         if not np.isfinite(size):
@@ -128,6 +140,9 @@ def correct(
         ):
             tu, tp = tangent[:-1], float(tangent[-1])
             norm = metric.length(tu, tp)
+            keep = getattr(problem, "keep_factors", None)
+            if keep is not None and factors is not None:  # the error estimate of the point solves with the same matrix
+                keep(factors)
             return Node(u + du, p + dp, tu / norm, tp / norm, sign, count)
         before.append((u, p))
         u, p, F, J, Fp = _damped(problem, (u, p), (du, dp), history)
@@ -189,11 +204,11 @@ def _escape(escapes: int, cycle: int, history: list[float], p: float) -> int:
 
 def _solve(
     J: np.ndarray, Fp: np.ndarray, F: np.ndarray, border: np.ndarray, history: list[float], p: float
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Newton step and tangent from one factorisation of the bordered matrix, and the sign of its determinant."""
+) -> tuple[np.ndarray, np.ndarray, float, Factors | None]:
+    """Newton step and tangent from one factorisation of the bordered matrix, the sign of its determinant, and itself."""
     n = len(F)
     if sp.issparse(J):
-        return _solve_sparse(J, Fp, F, border, history, p)
+        return *_solve_sparse(J, Fp, F, border, history, p), None
     matrix = np.empty((n + 1, n + 1), order="F")
     matrix[:n, :n], matrix[:n, n], matrix[n] = J, Fp, border
     right = np.zeros((n + 1, 2), order="F")
@@ -201,10 +216,11 @@ def _solve(
     lu, pivots, info = sl.lapack.dgetrf(matrix, overwrite_a=True)
     if info != 0:
         raise NoConvergence(_SINGULAR, history, p)
-    solution, _ = sl.lapack.dgetrs(lu, pivots, right, overwrite_b=True)
+    factors = Factors(lu, pivots)
+    solution = factors.solve(right)
     swaps = int(np.count_nonzero(pivots != np.arange(n + 1)))
     sign = float(np.prod(np.sign(np.diag(lu)))) * (-1.0) ** swaps
-    return solution[:, 0], solution[:, 1], sign
+    return solution[:, 0], solution[:, 1], sign, factors
 
 
 def _solve_sparse(

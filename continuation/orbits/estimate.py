@@ -95,6 +95,12 @@ def _changes(problem: Any, u: np.ndarray, p: float, low: np.ndarray, unit: float
 
     The matrix is bordered by a row that no branch is normal to in practice, so that it is regular at folds, too.
     """
+    factors = problem.factors(u, p)
+    if factors is not None:  # those of the last Newton step, bordered by the normal of its hyperplane
+        right = np.zeros((len(u) + 1, 2), order="F")
+        right[: len(low), 0], right[-1, 1] = low, 1.0
+        z, t = (factors.solve(right) / np.append(np.ones(len(u)), unit)[:, None]).T
+        return z, t
     matrix, Fp = _balance_matrix(problem, u, p)
     problem.factorisations += 1
     n = len(Fp)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from continuation.branches.newton import size_of
+from continuation.branches.newton import Factors, size_of
 from continuation.model.ports import LinearPart, Ports
 from continuation.model.system import System
 from continuation.orbits.curvature import critical_form
@@ -95,6 +95,7 @@ class HarmonicBalanceProblem:
         self._vector: tuple[float, np.ndarray] | None = None
         self._driven: tuple[np.ndarray, np.ndarray] | None = None
         self._last: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._factors: Factors | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
         self._corrections: dict[bytes, Estimate] = {}
         self._slope: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
@@ -210,6 +211,7 @@ class HarmonicBalanceProblem:
         J = operator(balance[1], force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
         Fp = self._derivative(Y, p, balance, self._index)
         self._last = (u, self.vector(p), J, Fp)
+        self._factors = None
         self._slope = (u, self.vector(p), force.slope)
         return pack(balance[0]), J, Fp
 
@@ -300,25 +302,39 @@ class HarmonicBalanceProblem:
 
     def linearised(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
         """Return dF/du and dF/dp, the ones of the last Newton step where that was close by."""
-        last, vector = self._last, self.vector(p)
-        if last is not None and len(last[0]) == len(u):
-            moved = float(np.linalg.norm(last[0] - u)) / size_of(u)
-            moved += float(np.abs(last[1] - vector).max()) / self.parameter_scale(p)
-            if moved < 1e-4:
-                return last[2], last[3]
+        last = self._last
+        if last is not None and self._close_by(last, u, p):
+            return last[2], last[3]
         return self.linearise(u, p)[1:]
+
+    def _close_by(self, last: tuple[np.ndarray, ...], u: np.ndarray, p: float) -> bool:
+        """Tell whether the last linearisation was made so near (u, p) that it serves there, too."""
+        if len(last[0]) != len(u):
+            return False
+        moved = float(np.linalg.norm(last[0] - u)) / size_of(u)
+        return moved + float(np.abs(last[1] - self.vector(p)).max()) / self.parameter_scale(p) < 1e-4
+
+    def keep_factors(self, factors: Factors) -> None:
+        """Keep the factors of the matrix of the last linearisation, until the next one."""
+        self._factors = None if self.free else factors
+
+    def factors(self, u: np.ndarray, p: float) -> Factors | None:
+        """Return the factors of the matrix of the last Newton step where that was close by, else None."""
+        last = self._last
+        return self._factors if last is not None and self._factors is not None and self._close_by(last, u, p) else None
 
     def error(self, u: np.ndarray, p: float) -> float:
         """Return the estimated largest error of the waveform of the port arguments."""
         return self.estimate(u, p).error
 
-    def adapt(self, u: np.ndarray, p: float) -> tuple[np.ndarray, float]:
+    def adapt(self, u: np.ndarray, p: float, across: bool = False) -> tuple[np.ndarray, float]:
         """Return u at the number of harmonics its error asks for, and the error estimate at the old number.
 
-        A longer vector already carries the estimated correction, so that Newton has little left to do.
+        A longer vector already carries the estimated correction, so that Newton has little left to do. With ``across``
+        the error is the distance from the branch: next to a fold that at the same parameter is large for any number.
         """
         estimate, k, method = self.estimate(u, p), self.ports.outputs, self.method
-        error = estimate.error
+        error = 2 * estimate.shortest if across else estimate.error
         if method.harmonics is not None:
             return u, error
         H = (len(u) // k - 1) // 2

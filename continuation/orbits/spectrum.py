@@ -27,9 +27,9 @@ def unpack(u: np.ndarray, k: int) -> np.ndarray:
 
 def resize(u: np.ndarray, k: int, harmonics: int) -> np.ndarray:
     """Pad with zeros or truncate to another number of harmonics."""
-    Y = unpack(u, k)
-    if len(Y) == harmonics + 1:
+    if len(u) == (2 * harmonics + 1) * k:
         return u
+    Y = unpack(u, k)
     new = np.zeros((harmonics + 1, k), dtype=complex)
     keep = min(len(Y), harmonics + 1)
     new[:keep] = Y[:keep]
