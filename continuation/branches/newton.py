@@ -205,7 +205,7 @@ def _escape(escapes: int, cycle: int, history: list[float], p: float) -> int:
 def _solve(
     J: np.ndarray, Fp: np.ndarray, F: np.ndarray, border: np.ndarray, history: list[float], p: float
 ) -> tuple[np.ndarray, np.ndarray, float, Factors | None]:
-    """Newton step and tangent from one factorisation of the bordered matrix, the sign of its determinant, and itself."""
+    """Newton step and tangent from one factorisation of the bordered matrix, the sign of its determinant, and it."""
     n = len(F)
     if sp.issparse(J):
         return *_solve_sparse(J, Fp, F, border, history, p), None
