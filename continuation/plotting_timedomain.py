@@ -86,7 +86,15 @@ def plot_basins(basins: Basins, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_waterfall(waterfall: Waterfall, *, ax: Axes | None = None) -> Axes:
-    """Draw amplitudes in decibels below the largest over parameter and order, light for large ones."""
+    """Draw amplitudes in decibels below the largest over parameter and order, light for large ones.
+
+    Raises
+    ------
+    ValueError
+        If there is no spectrum at all.
+    """
+    if not np.any(waterfall.amplitudes > 0):
+        raise ValueError(f"waterfall of {waterfall.quantity!r}: expected at least one spectrum that is not 0")
     ax = new_axes() if ax is None else ax
     order = np.argsort(waterfall.values, kind="stable")
     largest = np.nanmax(waterfall.amplitudes)

@@ -39,7 +39,8 @@ def gear_system(dimensionless: Dimensionless, reading: Reading = CONSISTENT) -> 
     System
         14 states, ``lambda, x_p, y_p, z_p, x_g, y_g, z_g`` and their derivatives ``dlambda, dx_p, ...``; parameters
         ``frequency_ratio`` (omega_m / omega_n, the rate of the phase), ``torque`` (T) and ``mesh_damping_ratio`` (xi);
-        outputs ``mesh_force`` (G) and ``deflection`` (lambda - e); one Contact.
+        outputs ``mesh_force`` (G), ``deflection`` (lambda - e) and ``bearing_x_p, ...``, the forces on the bearings of
+        every direction in the unit of G; one Contact.
 
     Raises
     ------
@@ -110,10 +111,11 @@ def pair_system(
     damping = xi * (dlam if 2 in reading else dlam - ratio * ca.jacobian(error, theta))
     force = stiffness * mesh.force + 2 * damping  # (12)
 
-    a3, acceleration = d.tangential_cosine, {}
+    a3, acceleration, bearings = d.tangential_cosine, {}, {}
     total = a3 * (torque if load is None else load) - a3**2 * force
     for i, name in enumerate(COORDINATES):
         bearing = bearing_term(d, i, position[name], velocity[f"d{name}"])
+        bearings[f"bearing_{name}"] = bearing / d.mass_ratios[i]
         share = force - damping if name == "z_g" and 12 in reading else force  # (25)
         acceleration[f"d{name}"] = -d.directions[i] * d.mass_ratios[i] * share - bearing  # (24)-(29)
         total += d.directions[i] * acceleration[f"d{name}"]
@@ -126,7 +128,7 @@ def pair_system(
         frequency="frequency_ratio",
         parameters=parameters,
         contacts=[mesh],
-        outputs={"mesh_force": force, "deflection": lam - error},
+        outputs={"mesh_force": force, "deflection": lam - error, **bearings},
     )
 
 

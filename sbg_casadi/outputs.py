@@ -13,7 +13,7 @@ from continuation.errors import nearest
 from sbg_casadi.dimensionless import COORDINATES, Dimensionless
 from sbg_casadi.equations import EIGHT, transmission_error, virtual_work
 from sbg_casadi.errors import UserError
-from sbg_casadi.model import bearing_term, gear_system
+from sbg_casadi.model import gear_system
 from sbg_casadi.pair import Pair
 from sbg_casadi.physical import Physical
 from sbg_casadi.reading import CONSISTENT, Reading, as_read
@@ -93,16 +93,14 @@ def dimensionless_outputs(
     x = orbit.evaluate(phase).T
     outputs = ca.substitute(system.outputs, system.phi, system.forces()) if system.contacts else system.outputs
     f = ca.Function("f", [system.x, system.theta, system.p], [system.closed(), outputs])
-    rate, (force, deflection) = (v.full() for v in f(x, phase[None], _parameters(system, orbit)))
-    mass = np.array(dimensionless.mass_ratios)[:, None]
-    bearing = np.array([bearing_term(dimensionless, i, x[1 + i], x[8 + i]) for i in range(6)]) / mass
+    rate, (force, deflection, *bearing) = (v.full() for v in f(x, phase[None], _parameters(system, orbit)))
     below, back = below_level(deflection, 1.0), below_level(deflection, -1.0)
     values: dict[str, Any] = {
         "lambda": x[0],
         "deflection": deflection,
         "mesh_force": force,
         "displacement": x[1:7],
-        "bearing_force": bearing,
+        "bearing_force": np.array(bearing),
         "acceleration": rate[8:],
         "lambda_acceleration": rate[7],
         "mean_mesh_force": force.mean(),

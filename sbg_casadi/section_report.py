@@ -43,6 +43,7 @@ def section_report(document: Document) -> list[RenderableType]:
                 f"errors), over {total['periods']} mesh periods"
             )
         )
+    parts += _series(document)
     closing = f"\n{document['method']}. RMS is that of lambda about its mean, in half backlashes; tau = omega_n t."
     return [*parts, Text(closing)]
 
@@ -65,6 +66,26 @@ def _exponents(document: Document) -> Table:
         more = [f"{row['per_second']:.4g}"] if seconds else []
         table.add_row(f"{row['per_tau']:.6f}", small(row["error"]), f"{row['per_mesh_period']:.6f}", *more)
     return table
+
+
+def _series(document: Document) -> list[RenderableType]:
+    """Return what the series alone says of the largest exponent; units as above."""
+    series = document["series_exponents"]
+    parts: list[RenderableType] = []
+    if series["rows"]:
+        head = f"\nlargest exponent from {series['mesh_periods']} values of lambda alone, one per mesh period"
+        seconds = document["mesh_period_seconds"] is not None
+        units = ("per unit of tau", "error", "per mesh period", *(["per second"] if seconds else []), "straight over")
+        table = plain_table("method", *(f">{unit}" for unit in units))
+        for row in series["rows"]:
+            more = [f"{row['per_second']:.4g}"] if seconds else []
+            first, last = row["fit_mesh_periods"]
+            numbers = (f"{row['per_tau']:.6f}", small(row["error"]), f"{row['per_mesh_period']:.6f}")
+            table.add_row(row["method"], *numbers, *more, f"{first:g} to {last:g} periods")
+        parts = [Text(head, style="bold"), table]
+    if series["note"]:
+        parts.append(Text(f"no exponent from the series of lambda alone: {series['note']}"))
+    return parts
 
 
 def basins_report(document: Document) -> list[RenderableType]:

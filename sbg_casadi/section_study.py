@@ -32,6 +32,7 @@ from sbg_casadi.progress import Progress, Report, silent
 from sbg_casadi.reading import CONSISTENT, Reading, as_read, reading_name
 from sbg_casadi.response import DONE, IN_PART, PARAMETER, tell_files
 from sbg_casadi.results import ResultsFolder
+from sbg_casadi.section_series import no_series, series_document
 from sbg_casadi.sweep_study import LOAD
 
 if TYPE_CHECKING:
@@ -152,6 +153,11 @@ def section_document(
     report(0.7, "exponents")
     exponents, failures = _exponents(system, x, at, fixed)
     seconds = None if pair.derived is None else 2 * math.pi / (at * pair.derived.natural_frequency)
+    if period:
+        series = no_series("the response repeats, so that neighbours do not part")
+    else:
+        report(0.9, "exponents of the series")
+        series = series_document(system, x, fixed, {PARAMETER: at}, seconds)
     columns = [system.state_names.index(STATE), system.state_names.index(RATE)]
     strobe = found.points[-1][np.isfinite(found.points[-1]).all(axis=1)]
     waveform = record.states[:-1, columns[0]]
@@ -185,6 +191,7 @@ def section_document(
         "exponents": _rows(exponents, at, seconds),
         "exponent_sum": None if exponents is None else {"sum": exponents.total, "error": exponents.total_error,
                                                         "trace": exponents.trace, "periods": exponents.periods},
+        "series_exponents": series,
         "failures": failures,
     }  # fmt: skip
     return document, found
@@ -223,6 +230,7 @@ def _rows(exponents: Any, at: float, seconds: float | None) -> list[dict[str, fl
             "per_tau": value,
             "error": error,
             "per_mesh_period": value * turn,
+            "per_mesh_period_error": error * turn,
             "per_second": None if seconds is None else value * turn / seconds,
         }
         for value, error in zip(exponents.exponents.tolist(), exponents.errors.tolist(), strict=True)

@@ -25,10 +25,10 @@ def sweep_report(document: Document) -> list[RenderableType]:
     parts += [Text(f"FINISHED IN PART: {text}", style="bold red") for text in document["failures"]]
     for sweep in document["sweeps"]:
         parts += [Text(f"\nsweep {sweep['direction']}", style="bold"), _stretches(sweep), *_numbers(sweep)]
-    parts += [Text(line) for line in _differences(document)]
+    parts += [Text(line) for line in (*_differences(document), _between(document))]
     if document["response"] is not None:
         parts += [Text("\ntraced response", style="bold"), *branch_report(document["response"])]
-    compiled = f"compiled with {document['compiler']}" if document["compiler"] else "in CasADi's virtual machine"
+    compiled = f"compiled with {document['compiler']}" if document["compiler"] else "without a C compiler"
     parts.append(Text(f"\n{document['sweeps'][0]['method']}, {compiled}."))
     parts.append(
         Text(
@@ -67,6 +67,23 @@ def _numbers(sweep: Document) -> list[Text]:
     lines.append(f"largest error of the steps {worst} of the largest state, over one period of a recognised response")
     used = sum(p["periods_used"] for p in sweep["points"])
     return [Text(line) for line in [*lines, f"{used} mesh periods integrated"]]
+
+
+def _between(document: Document) -> str:
+    """Return the largest line between whole orders of the mesh frequency, which a period-1 response has not."""
+    found = [
+        (line["amplitude"], line["order"], point["frequency_ratio"], d["direction"])
+        for d in document["spectra"]["directions"]
+        for point in d["points"]
+        if (line := point["largest_between"]) is not None
+    ]
+    if not found:
+        return "no spectra"
+    height, order, ratio, direction = max(found)
+    return (
+        f"largest line between whole orders of the mesh frequency: {height:.3g} at order {order:.4f}, "
+        f"sweep {direction} at {ratio:.4f}"
+    )
 
 
 def _differences(document: Document) -> list[str]:

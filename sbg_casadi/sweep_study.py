@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from continuation import Branch, ContinuationError, Sweep, up_and_down
+from continuation import Branch, ContinuationError, Sweep, Waterfall, up_and_down
 from continuation.model.machine_code import find_compiler
 from sbg_casadi.dimensionless import Dimensionless
 from sbg_casadi.documents import SCHEMA, STATE, branch_document, is_complete, to_json
@@ -24,11 +24,15 @@ from sbg_casadi.progress import Progress, Report, silent
 from sbg_casadi.reading import CONSISTENT, Reading, as_read, reading_name
 from sbg_casadi.response import DONE, IN_PART, PARAMETER, frequency_span, tell_files, trace_response
 from sbg_casadi.results import ResultsFolder
+from sbg_casadi.sweep_spectra import spectra, spectra_document
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-FILES = ("sweep.png", "summary.txt", "sweep.json", "sweep-up.nc", "sweep-down.nc")
+FILES = (
+    "sweep.png", "waterfall.png", "summary.txt", "sweep.json", "sweep-up.nc", "sweep-down.nc", "waterfall-up.nc",
+    "waterfall-down.nc",
+)  # fmt: skip
 RESPONSE = "period-1.nc"
 LOAD = "mesh_force"
 INTERRUPTED = 130
@@ -119,6 +123,7 @@ def run_sweep(
         with Progress() as progress:
             report = progress.task(f"{pair.name}: sweeps")
             sweeps = sweep_pair(d, span, settings, reading=reading, report=report, resume=unfinished)
+            found = spectra(d, sweeps, reading, progress.task(f"{pair.name}: spectra"))
             branch = _response(d, span, reading, progress) if with_response else None
     except KeyboardInterrupt:
         if not unfinished.exists():
@@ -128,8 +133,8 @@ def run_sweep(
             markup=False, soft_wrap=True,
         )  # fmt: skip
         return INTERRUPTED
-    document = sweep_document(pair, d, span, sweeps, branch, reading, settings)
-    folder.fill(lambda place: _write(place, document, sweeps, branch, pair, folder.extra))
+    document = sweep_document(pair, d, span, sweeps, found, branch, reading, settings)
+    folder.fill(lambda place: _write(place, document, sweeps, found, branch, folder.extra))
     shutil.rmtree(unfinished, ignore_errors=True)
     if json_file is not None and folder.extra is None:
         write_text_atomic(json_file, to_json(document))
@@ -190,6 +195,7 @@ def sweep_document(
     dimensionless: Dimensionless,
     span: tuple[float, float],
     sweeps: tuple[Sweep, Sweep],
+    found: tuple[Waterfall, Waterfall],
     branch: Branch | ContinuationError | None,
     reading: Reading,
     settings: SweepSettings,
@@ -226,6 +232,7 @@ def sweep_document(
         "compiler": find_compiler() or "",
         "sweeps": [direction_document(s, name) for name, s in zip(("up", "down"), sweeps, strict=True)],
         "differences": _differences(*sweeps),
+        "spectra": spectra_document(found),
         "response": response,
         "failures": failures,
     }
@@ -275,21 +282,24 @@ def _write(
     place: Path,
     document: dict[str, Any],
     sweeps: tuple[Sweep, Sweep],
+    found: tuple[Waterfall, Waterfall],
     branch: Branch | ContinuationError | None,
-    pair: Pair,
     extra: str | None,
 ) -> None:
     from sbg_casadi.report import as_text
     from sbg_casadi.sweep_report import sweep_report
-    from sbg_casadi.timedomain_figure import save, sweep_figure
+    from sbg_casadi.timedomain_figure import save, sweep_figure, waterfall_figure
 
     traced = branch if isinstance(branch, Branch) else None
     save(sweep_figure(document, sweeps, traced), place / "sweep.png")
+    save(waterfall_figure(document, found), place / "waterfall.png")
     (place / "summary.txt").write_text(as_text(sweep_report(document)), encoding="utf-8")
     for name in {"sweep.json", extra or "sweep.json"}:
         (place / name).write_text(to_json(document), encoding="utf-8")
     for name, swept in zip(("up", "down"), sweeps, strict=True):
         swept.save(place / f"sweep-{name}.nc")
+    for name, table in zip(("up", "down"), found, strict=True):
+        table.save(place / f"waterfall-{name}.nc")
     if traced is not None:
         traced.save(place / RESPONSE)
 

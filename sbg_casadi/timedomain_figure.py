@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from continuation import Basins, Branch, Sweep
+from continuation import Basins, Branch, Sweep, Waterfall
 from continuation.plotting import plot_branch, plot_sweep
-from continuation.plotting_timedomain import plot_basins, plot_bifurcation
+from continuation.plotting_timedomain import plot_basins, plot_bifurcation, plot_waterfall
 from sbg_casadi.documents import STATE
 
 Document = Mapping[str, Any]
@@ -40,6 +40,23 @@ def sweep_figure(document: Document, sweeps: Sequence[Sweep], branch: Branch | N
         above = upper.secondary_xaxis("top", functions=(lambda v: v * rpm, lambda v: v / rpm))
         above.set_xlabel("pinion speed / rpm")
     figure.suptitle(f"{document['pair']}, {document['state']}: sweeps up and down")
+    return figure
+
+
+def waterfall_figure(document: Document, found: Sequence[Waterfall]) -> Figure:
+    """Draw the spectra over frequency ratio and order, sweep up beside sweep down."""
+    figure = _figure(12.0, 6.0)
+    axes = figure.subplots(1, 2, sharey=True)
+    rpm = document["unit_ratio_rpm"]
+    for ax, table, name in zip(axes, found, ("up", "down"), strict=True):
+        ax.set_title(f"sweep {name}", pad=24 if rpm is not None else None)
+        if np.any(table.amplitudes > 0):
+            plot_waterfall(table, ax=ax)
+        ax.set(xlabel="frequency ratio omega_m / omega_n", ylabel="order of the mesh frequency")
+        if rpm is not None:
+            above = ax.secondary_xaxis("top", functions=(lambda v: v * rpm, lambda v: v / rpm))
+            above.set_xlabel("pinion speed / rpm")
+    figure.suptitle(f"{document['pair']}, {document['state']}: spectra of lambda along the sweeps")
     return figure
 
 
@@ -76,14 +93,24 @@ def plot_orders(document: Document, *, ax: Axes) -> Axes:
 
 
 def plot_exponents(document: Document, *, ax: Axes) -> Axes:
-    """Draw the Lyapunov exponents per unit of tau with three standard errors."""
+    """Draw the Lyapunov exponents per unit of tau with three standard errors; beside the largest, from lambda alone."""
     rows = document["exponents"]
     number = np.arange(1, len(rows) + 1)
     values, errors = ([r[k] for r in rows] for k in ("per_tau", "error"))
-    ax.errorbar(number, values, yerr=3 * np.array(errors), fmt="o", color="black", markersize=4, capsize=3)
+    _bars(ax, number, values, errors, "o", "black", "from the model")
+    for k, (row, mark) in enumerate(zip(document["series_exponents"]["rows"], "s^", strict=False), 1):
+        _bars(ax, [1 + 0.25 * k], [row["per_tau"]], [row["error"]], mark, COLOURS[1], f"lambda alone, {row['method']}")
+    if document["series_exponents"]["rows"]:
+        ax.legend(loc="best", fontsize="small")
     ax.axhline(0.0, color="0.6", linewidth=0.8)
     ax.set(xlabel="number", ylabel="exponent per unit of tau, 3 errors", title="Lyapunov exponents")
     return ax
+
+
+def _bars(
+    ax: Axes, at: Any, values: Sequence[float], errors: Sequence[float], mark: str, colour: str, label: str
+) -> None:
+    ax.errorbar(at, values, yerr=3 * np.array(errors), fmt=mark, color=colour, markersize=4, capsize=3, label=label)
 
 
 def section_figure(document: Document) -> Figure:

@@ -301,7 +301,7 @@ class _Follower:
 
     def _describe(self, x: np.ndarray, count: int, period: int, verdict: str, evidence: str) -> Attractor:
         waves = self.map.ahead(x, count)
-        numbers, strobe = self.map.describe(x, waves, bool(period))
+        numbers, strobe = self.map.describe(x, count, waves, bool(period))
         spread = np.zeros((waves.shape[2], 2))
         if not period:
             values = waves[:, :-1]

@@ -14,6 +14,7 @@ from continuation.timedomain.runge_kutta import step_functions
 from continuation.timedomain.trajectory import Run, Trajectory
 
 _FIRST_STEP = LARGEST_STEP / 8
+_LOST = 1e100  # size of a state that has run away, however it began
 _RUNAWAY = 1e6  # growth of the state over an integration that counts as running away, once the steps are used up
 
 
@@ -215,13 +216,15 @@ class ExactIntegrator:
 
     def _failure(self, run: Run, x: np.ndarray, p: np.ndarray) -> ContinuationError:
         values = dict(zip(self.system.parameter_names, p.tolist(), strict=True))
+        state = describe(dict(zip(self.system.state_names, run.x.tolist(), strict=True)))
         where = (
-            f"event-exact integration of {self.system.name!r} stopped at phase {run.theta:.6g} after "
-            f"{len(run.modes)} accepted steps ({describe(values)}): "
+            f"event-exact integration of {self.system.name!r} stopped at phase {run.theta:.6g} (time "
+            f"{run.theta / values[str(self.system.frequency)]:.6g}) after {len(run.modes)} accepted steps "
+            f"({describe(values)}) in the state {state}: "
         )
         with np.errstate(all="ignore"):
             size, rate = abs(run.x).max(), self.functions.rate(run.x, run.theta, p, *self.law(run.pieces))[0]
-        if not np.all(np.isfinite(rate)) or size > _RUNAWAY * (1 + abs(x).max()):
+        if not np.all(np.isfinite(rate)) or size / _RUNAWAY > 1 + abs(x).max() or size > _LOST:
             text = f"the state runs away, its largest component is {size:.3g}; check the model or start elsewhere"
             return Runaway(where + text, run.theta, values)
         if 4 * len(run.changes) > len(run.modes) and len(run.changes) > 20:

@@ -1,4 +1,4 @@
-"""CasADi functions that the virtual march calls: many steps, or steps from any phase."""
+"""CasADi functions that the virtual march calls; points are columns of state, its derivative, arguments and rates."""
 
 from __future__ import annotations
 
@@ -17,33 +17,41 @@ def grid(functions: StepFunctions) -> ca.Function:
     return ca.Function("grid", [theta, span, p], [_forces(functions, theta, span, p)])
 
 
-def begin(functions: StepFunctions) -> ca.Function:
-    """Return ``x, theta, p, s, c -> k, a, r`` at any phase."""
-    one = functions.begin
-    x, s, c = (ca.SX.sym(name, one.numel_in(i)) for name, i in (("x", 0), ("s", 2), ("c", 3)))
-    theta, p = ca.SX.sym("theta"), ca.SX.sym("p", functions.forcing.numel_in(1))
-    return ca.Function("begin", [x, theta, p, s, c], list(one(x, functions.forcing(theta, p), s, c)))
-
-
 def attempt(functions: StepFunctions) -> ca.Function:
-    """Return ``x, k, phase, h, turn, p, s, c -> x, k, a, r`` after a step from any phase."""
+    """Return ``(x, k), theta, h, turn, p, s, c -> point`` after a step from any phase."""
     step = functions.step
-    x, k, s, c = (ca.SX.sym(name, step.numel_in(i)) for name, i in (("x", 0), ("k", 1), ("s", 4), ("c", 5)))
-    theta, h, turn, p = ca.SX.sym("t"), ca.SX.sym("h"), ca.SX.sym("turn"), ca.SX.sym("p", functions.forcing.numel_in(1))
-    results = step(x, k, h, _forces(functions, theta, h * turn, p), s, c)
-    return ca.Function("attempt", [x, k, theta, h, turn, p, s, c], list(results))
+    n, m = step.numel_in(0), step.numel_in(4)
+    xk, s, c, theta, h, turn, p = _symbols(functions, 2 * n, m)
+    results = step(xk[:n], xk[n:], h, _forces(functions, theta, h * turn, p), s, c)
+    return ca.Function("attempt", [xk, theta, h, turn, p, s, c], [ca.cse(ca.vertcat(*results))])
+
+
+def restart(functions: StepFunctions) -> ca.Function:
+    """Return ``x, theta, h, turn, p, s, c -> point, point`` at any phase and after a step from there."""
+    step, n, m = functions.step, functions.step.numel_in(0), functions.step.numel_in(4)
+    x, s, c, theta, h, turn, p = _symbols(functions, n, m)
+    here = functions.begin(x, functions.forcing(theta, p), s, c)
+    there = step(x, here[0], h, _forces(functions, theta, h * turn, p), s, c)
+    points = ca.cse([ca.vertcat(x, *here), ca.vertcat(*there)])
+    return ca.Function("restart", [x, theta, h, turn, p, s, c], points)
+
+
+def _symbols(functions: StepFunctions, n: int, m: int) -> tuple[ca.SX, ...]:
+    x, s, c = (ca.SX.sym(name, size) for name, size in (("x", n), ("s", m), ("c", m)))
+    theta, h, turn = (ca.SX.sym(name) for name in ("theta", "h", "turn"))
+    return x, s, c, theta, h, turn, ca.SX.sym("p", functions.forcing.numel_in(1))
 
 
 def repeated(step: ca.Function, count: int) -> ca.Function:
-    """Return ``x, k, h, E side by side, s, c -> `` the points after each of the steps, side by side."""
+    """Return ``(x, k), h, E side by side, s, c -> `` the points after each of the steps, side by side."""
     n, m = step.numel_in(0), step.numel_in(4)
-    x, k, h = ca.MX.sym("x", n), ca.MX.sym("k", n), ca.MX.sym("h")
+    xk, h = ca.MX.sym("xk", 2 * n), ca.MX.sym("h")
     E = ca.MX.sym("E", step.size1_in(3), step.size2_in(3) * count)
     s, c = ca.MX.sym("s", m), ca.MX.sym("c", m)
     many = step.mapaccum("steps", count, 2)
     repeated = [ca.repmat(v, 1, count) for v in (h, s, c)]
-    results = many(x, k, repeated[0], E, *repeated[1:])
-    return ca.Function("steps", [x, k, h, E, s, c], list(results))
+    results = many(xk[:n], xk[n:], repeated[0], E, *repeated[1:])
+    return ca.Function("steps", [xk, h, E, s, c], [ca.vertcat(*results)])
 
 
 def side_by_side(observe: ca.Function, count: int) -> ca.Function:

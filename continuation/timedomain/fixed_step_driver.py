@@ -10,6 +10,9 @@ OK, NOT_FINITE, CHATTER, FULL = 0, 1, 2, 3
 """What ``march`` returns: done, the state left the finite numbers, a step with too many contact changes, no room left
 for contact changes."""
 
+SLACK = 1e-12
+"""Part of a step by which two phases may differ and be the same."""
+
 
 def source(model: ModeModel, functions: StepFunctions) -> str:
     """Return the C source of ``tabulate`` and ``march`` for one model."""
@@ -24,6 +27,7 @@ def source(model: ModeModel, functions: StepFunctions) -> str:
         "F": len(functions.fractions),
     }
     defines = "".join(f"#define {name} {size}\n#define {name}_ {max(size, 1)}\n" for name, size in sizes.items())
+    defines += f"#define SLACK {SLACK!r}\n"
     return f"#define CASADI_SYMBOL_EXPORT static\n{generator.dump()}\n{defines}{_tables(model, functions)}{_DRIVER}"
 
 
@@ -156,12 +160,14 @@ static double leaving(const run *g, const point *u, const point *v, double h, in
   return first;
 }
 
-/* States at the phases asked for that lie in a step, by shorter steps; phases from the start of the period. */
+/* States at the phases asked for that lie in a step, by shorter steps; phases from the start of the period. Those that
+   differ from a point of the grid by rounding alone are that point. */
 static void sample(run *g, const point *u, double phase, double end) {
-  for (; g->next < g->sampled && g->phases[g->next] < end; g->next++) {
+  double slack = SLACK*g->h*g->turn;
+  for (; g->next < g->sampled && g->phases[g->next] < end - slack; g->next++) {
     double *out = g->samples + (g->period*g->sampled + g->next)*N, ahead = g->phases[g->next] - phase, e[F_*E_];
     point v;
-    if (!(ahead > 0)) { memcpy(out, u->x, sizeof(u->x)); continue; }
+    if (!(ahead > slack)) { memcpy(out, u->x, sizeof(u->x)); continue; }
     force(phase, ahead, g->p, e);
     attempt(g, u, ahead/g->turn, e, &v);
     memcpy(out, v.x, sizeof(v.x));

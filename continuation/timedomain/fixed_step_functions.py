@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.integrate import DOP853, RK45
 
+from continuation.model.extension import extended
 from continuation.model.system import System
 
 TABLEAUS: dict[int, tuple[Any, Any, Any]] = {
@@ -63,7 +64,7 @@ def mode_model(system: System, quantities: tuple[str, ...] = (), *, land: bool =
     """
     count = len(system.contacts) if land else 0
     s, c = ca.SX.sym("s", count), ca.SX.sym("c", count)
-    force = s * system.arguments + c if land else system.forces()
+    force = extended(system, s * system.arguments + c) if land else system.forces()
     known = dict(zip(system.state_names, ca.vertsplit(system.x), strict=True))
     known |= dict(zip(system.output_names, ca.vertsplit(system.outputs), strict=True)) if system.output_names else {}
     observed = ca.vertcat(*(known[name] for name in quantities))
@@ -91,6 +92,7 @@ class StepFunctions:
         ``x, k, theta, p, s, c -> y, dy/dt``.
     fractions : tuple of float
         Distinct instants of the stages in the step, ending with 1.
+    order : int
     """
 
     forcing: ca.Function
@@ -98,6 +100,7 @@ class StepFunctions:
     step: ca.Function
     observe: ca.Function
     fractions: tuple[float, ...]
+    order: int
 
 
 def step_functions(model: ModeModel, order: int) -> StepFunctions:
@@ -121,6 +124,7 @@ def step_functions(model: ModeModel, order: int) -> StepFunctions:
         step=step,
         observe=ca.Function("observe", [model.x, k, model.theta, model.p, *modes], ca.cse([model.observed, dy])),
         fractions=fractions,
+        order=order,
     )
 
 

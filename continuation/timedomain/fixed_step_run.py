@@ -57,8 +57,7 @@ class FixedStepRun:
 def collect(m: March, start: np.ndarray, model: ModeModel) -> FixedStepRun:
     """Return what a march from a state left."""
     length = m.h * m.steps
-    s = np.empty((0, 0, 4)) if m.statistics is None else m.statistics
-    mean = s[:, :, 0] / length
+    mean, variance, lowest, highest = (np.empty((0, 0)),) * 4 if m.statistics is None else _statistics(m, length)
     c = np.empty((0, 4 + len(m.x))) if m.changes is None else m.changes[: m.count].copy()
     times = np.empty(0) if m.dwell is None else m.dwell / max(length * m.periods, 1e-300)
     first = np.cumsum([len(law[1]) for law in model.laws])[:-1]
@@ -66,15 +65,24 @@ def collect(m: March, start: np.ndarray, model: ModeModel) -> FixedStepRun:
     return FixedStepRun(
         period=length,
         strobe=np.vstack([start, m.strobe]),
-        mean=mean + (m.centre if mean.size else 0.0),
-        variance=np.maximum(s[:, :, 1] / length - mean**2, 0.0),
-        minimum=s[:, :, 2] + (m.centre if mean.size else 0.0),
-        maximum=s[:, :, 3] + (m.centre if mean.size else 0.0),
+        mean=mean,
+        variance=variance,
+        minimum=lowest,
+        maximum=highest,
         samples=np.empty((m.periods, 0, n)) if m.samples is None else m.samples,
         changes=np.column_stack([c[:, 0] * length * m.turn + c[:, 1], c[:, 2:4]]),
         change_states=c[:, 4:],
         shares=tuple(np.split(times, first)) if model.laws else (),
     )
+
+
+def _statistics(m: March, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    assert m.statistics is not None
+    first, second, lowest, highest = np.moveaxis(m.statistics, 2, 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # left to those who asked
+        mean = first / length
+        variance = np.maximum(second / length - mean**2, 0.0)
+    return mean + m.centre, variance, lowest + m.centre, highest + m.centre
 
 
 def failure(m: March, flag: int, settings: str, system: System) -> IntegrationFailed:

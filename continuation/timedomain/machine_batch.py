@@ -108,14 +108,18 @@ def _sum(weights: np.ndarray) -> str:
 
 
 _LOOP = r"""
+#include <stdlib.h>
 int many(long count, const double** in, double** out, const long* size) {
-  const double* arg[ARGUMENTS]; double* res[RESULTS]; casadi_int iw[INTEGERS]; static double w[WORK];
+  const double* arg[ARGUMENTS]; double* res[RESULTS]; casadi_int iw[INTEGERS];
+  double* w = malloc(sizeof(double) * WORK);           /* not static: threads may run side by side */
   long k; int i;
+  if (!w) return 1;
   for (k = 0; k < count; ++k) {
     for (i = 0; i < NAME_n_in(); ++i) arg[i] = in[i] + k * size[i];
     for (i = 0; i < NAME_n_out(); ++i) res[i] = out[i] + k * size[NAME_n_in() + i];
     NAME(arg, res, iw, w, 0);
   }
+  free(w);
   return 0;
 }
 """

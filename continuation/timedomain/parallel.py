@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -19,6 +20,7 @@ from continuation.model.machine_code import find_compiler
 from continuation.model.system import System
 from continuation.timedomain.cvodes import CVODES
 from continuation.timedomain.fixed_step import FixedStep
+from continuation.timedomain.parts import Keeper
 from continuation.timedomain.period_map import Integrator
 from continuation.timedomain.sweep import Progress, Sweep, SweepTask, one_integrator, task
 from continuation.timedomain.sweep_result import joined
@@ -127,25 +129,57 @@ def run_in_parts(whole: SweepTask, executor: Executor, progress: Progress | None
     """Run a sweep whose values have a start each, 16 values at a time; with one start for all it stays whole."""
     if len(whole.starts) == 1:
         return _run_with(executor, [whole], progress)[0]
-    cuts = range(0, len(whole.values), _PART)
-    parts = [replace(whole, values=whole.values[i : i + _PART], starts=whole.starts[i : i + _PART]) for i in cuts]
-    return joined(_run_with(executor, parts, progress))
+    keeper = Keeper(Path(whole.resume), whole.fingerprint) if whole.resume else None
+    before = keeper.load() if keeper else None
+    known = [] if before is None else [before]
+    count = sum(len(s.values) for s in known)
+    bare, cuts = replace(whole, resume=""), range(count, len(whole.values), _PART)
+    parts = [replace(bare, values=bare.values[i : i + _PART], starts=bare.starts[i : i + _PART]) for i in cuts]
+    finished: list[Sweep] = []
+
+    def keep(results: list[Sweep]) -> None:
+        finished[:] = results
+        if keeper and results:
+            keeper.keep(lambda: joined([*known, *results]))
+
+    try:
+        return joined([*known, *_run_with(executor, parts, progress, keep, count)])
+    finally:
+        if keeper and finished:
+            keeper.keep(lambda: joined([*known, *finished]), now=True)
 
 
-def _run_with(executor: Executor, tasks: Sequence[SweepTask], progress: Progress | None) -> list[Sweep]:
+def _run_with(
+    executor: Executor,
+    tasks: Sequence[SweepTask],
+    progress: Progress | None,
+    keep: Callable[[list[Sweep]], None] | None = None,
+    done: int = 0,
+) -> list[Sweep]:
+    """Run tasks with an executor; ``keep`` is told the results of all tasks before the first that is not finished."""
     futures = {executor.submit(_run_plain, t): t for t in tasks}
-    total, done = sum(len(t.values) for t in tasks), 0
+    total = done + sum(len(t.values) for t in tasks)
     try:
         for future in as_completed(futures):
             future.result()
             done += len(futures[future].values)
+            if keep:
+                keep(_finished(futures))
             if progress:
                 progress(done, total)
     except BaseException:
         for future in futures:
             future.cancel()
+        if keep:
+            keep(_finished(futures))
         raise
     return [future.result() for future in futures]
+
+
+def _finished(futures: Iterable[Future[Sweep]]) -> list[Sweep]:
+    """Return the results before the first that is not there."""
+    there = takewhile(lambda f: f.done() and not f.cancelled() and f.exception() is None, futures)
+    return [future.result() for future in there]
 
 
 def _run_plain(t: SweepTask) -> Sweep:

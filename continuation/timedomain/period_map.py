@@ -7,16 +7,20 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from continuation.errors import UnsupportedModel, nearest
+from continuation.errors import ContinuationError, UnsupportedModel, nearest
 from continuation.model.system import System
 from continuation.timedomain.cvodes import CVODES, DrivenModel
-from continuation.timedomain.exact import ExactIntegrator
+from continuation.timedomain.exact import ExactIntegrator, describe
 from continuation.timedomain.fixed_step import FixedStep, FixedStepIntegrator, SuitableSteps
+from continuation.timedomain.kernels import Batch
 from continuation.timedomain.simulate import EventExact
 from continuation.timedomain.waveform import describe_waveform
 
 SAMPLES = 64
 """States kept per excitation period."""
+
+FEW = 256
+"""Excitation periods whose samples are held at once: memory must not grow with their number."""
 
 Integrator = CVODES | EventExact | FixedStep
 
@@ -44,10 +48,10 @@ class PeriodMap(Protocol):
     def strobe(self, x: np.ndarray, count: int) -> np.ndarray:
         """Return the states (count, n) at the end of some periods."""
 
-    def describe(self, x: np.ndarray, waves: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
+    def describe(self, x: np.ndarray, count: int, waves: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
         """Return rms, mean, minimum and maximum (q, 4) of the quantities over periods from x, and states at phase 0.
 
-        ``waves`` (count, samples + 1, n) are these periods where they are at hand, else its length says how many.
+        ``waves`` (count, samples + 1, n) are these periods; not looked at where :attr:`described_again`.
         """
 
     def quantity(self, waves: np.ndarray) -> np.ndarray:
@@ -132,9 +136,9 @@ class FixedMap:
         """Return the states at the end of some periods."""
         return self._now.run(x, self._p, count).strobe[1:]
 
-    def describe(self, x: np.ndarray, waves: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
+    def describe(self, x: np.ndarray, count: int, waves: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
         """March the periods once more with statistics."""
-        run = self._now.run(x, self._p, len(waves), statistics=True)
+        run = self._now.run(x, self._p, count, statistics=True)
         mean = run.mean.mean(axis=0)
         variance = run.variance.mean(axis=0) + run.mean.var(axis=0)
         numbers = [np.sqrt(variance), mean, run.minimum.min(axis=0), run.maximum.max(axis=0)]
@@ -157,6 +161,7 @@ class SampledMap:
 
     def __init__(self, system: System, settings: CVODES | EventExact, quantities: tuple[str, ...]) -> None:
         self._p, self.floor = system.parameter_vector(), settings.atol / settings.rtol
+        self._names, self._clock = system.state_names, system.parameter_names.index(str(system.frequency))
         self._period = None if isinstance(settings, EventExact) else settings.compile(DrivenModel.of(system))
         self._exact = None
         if isinstance(settings, EventExact):
@@ -170,9 +175,15 @@ class SampledMap:
 
     def ahead(self, x: np.ndarray, count: int) -> np.ndarray:
         """Return the states of some periods, one after the other."""
-        waves = []
-        for _ in range(count):
-            waves.append(self._one(x))
+        waves: list[np.ndarray] = []
+        for k in range(count):
+            try:
+                waves.append(self._one(x))
+            except ContinuationError as error:
+                state = describe(dict(zip(self._names, x.tolist(), strict=True)))
+                begin = 2 * np.pi * k / self._p[self._clock]
+                error.args = (f"{error}, in the period that begins at time {begin:.6g} with state {state}",)
+                raise
             x = waves[-1][-1]
         return np.array(waves)
 
@@ -188,7 +199,7 @@ class SampledMap:
         """Return the states at the end of some periods."""
         return self.ahead(x, count)[:, -1]
 
-    def describe(self, x: np.ndarray, waves: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
+    def describe(self, x: np.ndarray, count: int, waves: np.ndarray, periodic: bool) -> tuple[np.ndarray, np.ndarray]:
         """Describe the samples at hand."""
         values = at_samples(self._quantities, waves, self._p)
         return np.array([describe_waveform(v, periodic) for v in values]), np.vstack([waves[:, 0], waves[-1:, -1]])
@@ -202,18 +213,19 @@ class SampledMap:
         return np.nan
 
 
-def exact_quantities(system: System, names: tuple[str, ...]) -> ca.Function:
-    """Return ``x, theta, p -> `` states or outputs of those names, with the exact contact laws."""
+def exact_quantities(system: System, names: tuple[str, ...]) -> Batch:
+    """Return ``x, theta, p -> `` states or outputs of those names, with the exact contact laws, at many points."""
     known = dict(zip(system.state_names, ca.vertsplit(system.x), strict=True))
     if system.output_names:
         law = ca.substitute(system.outputs, system.phi, system.forces()) if system.contacts else system.outputs
         known |= dict(zip(system.output_names, ca.vertsplit(law), strict=True))
     wanted = ca.vertcat(*(known[name] for name in names)) if names else ca.SX(0, 1)
-    return ca.Function("quantities", [system.x, system.theta, system.p], [ca.densify(wanted)])
+    return Batch(ca.Function("quantities", [system.x, system.theta, system.p], [ca.densify(wanted)]))
 
 
-def at_samples(quantities: ca.Function, waves: np.ndarray, p: np.ndarray) -> np.ndarray:
+def at_samples(quantities: Batch, waves: np.ndarray, p: np.ndarray) -> np.ndarray:
     """Return quantities (q, count * samples) at the samples of periods (count, samples + 1, n)."""
     samples = waves.shape[1] - 1
     phases = np.tile(2 * np.pi * np.arange(samples) / samples, len(waves))
-    return quantities(waves[:, :-1].reshape(-1, waves.shape[2]).T, phases[None], p).full()
+    points = waves[:, :-1].reshape(-1, waves.shape[2])
+    return quantities(points, phases, np.broadcast_to(p, (len(phases), len(p))))[0][:, 0].T

@@ -17,7 +17,8 @@ from continuation.timedomain.settling import LARGEST_PERIOD
 QUASI_PERIODIC, CHAOTIC, UNKNOWN = "quasi-periodic", "chaotic", "not recognised"
 
 _ROUNDS = 3  # records, each twice as long as the one before, until one decides
-_GROUP = 8  # periods between two normalisations of the tangent vector
+_GROUP = 8  # periods over which a rate of growth of the tangent vector is taken
+_CALL = 32  # periods between two normalisations of the tangent vector
 _SAME_AVERAGES = 1e-3  # of the standard deviation: averages of both halves of a torus agree by far better
 _NEUTRAL = 0.01  # exponent per period: growth along a torus is algebraic, log(periods)/periods
 _SAME_FREQUENCY = 1e-5
@@ -131,16 +132,16 @@ class Witness:
             integrator = self._with.setdefault(steps, self._base.with_steps(steps))
         n = len(z) // 2
         points, growth = [], []
-        for j in range(-periods // 8, periods, _GROUP):
-            run = integrator.run(z, p, _GROUP)
-            size = float(np.linalg.norm(run.end[n:-1]))
-            if not size > 0:
+        for j in range(-periods // 8, periods, _CALL):
+            run = integrator.run(z, p, _CALL)
+            sizes = np.linalg.norm(run.strobe[::_GROUP, n:-1], axis=1)
+            if not np.all(sizes > 0):
                 raise ContinuationError("the tangent vector vanished")
-            z = np.concatenate([run.end[:n], run.end[n:-1] / size, [0.0]])
+            z = np.concatenate([run.end[:n], run.end[n:-1] / sizes[-1], [0.0]])
             if j >= 0:
                 points.append(run.strobe[1:, :n])
-                growth.append(np.log(size))
-        return np.vstack(points), np.array(growth), z
+                growth.append(np.diff(np.log(sizes)))
+        return np.vstack(points), np.concatenate(growth), z
 
 
 def judge(strobe: np.ndarray, growth: np.ndarray, length: float) -> Evidence:

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from continuation.errors import ContinuationError
+
 LARGEST_PERIOD = 64
 _BUNCH = 8  # periods between judgements
+_FEW = 256  # periods whose samples are held at once
 _WINDOW = 16  # periods per half of the record in which decay is judged
 _NEAR = 3e-2  # differences over n periods, times n and over the scale, from which the map counts as near a cycle
 _NOISE = 1e-9  # differences that may be step selection and rounding
@@ -77,6 +80,13 @@ class Settling:
     series, starting near the cycle; the result is the limit of plain iteration. A cycle with a multiplier close to the
     unit circle is left to plain iteration, so that a small period-2 split is never taken for period 1. For more than 16
     periods the derivative is only taken where it costs less than the limit.
+
+    Attributes
+    ----------
+    used : int
+        Periods integrated so far, all purposes.
+    elapsed : int
+        Periods along the response itself before those that are being integrated; says when an error came.
     """
 
     def __init__(
@@ -93,21 +103,24 @@ class Settling:
         self._ahead = ahead
         self.advance, self.tolerance, self.floor = advance, tolerance, floor
         self.transient, self.limit, self.recorded = max(transient, 2 * _WINDOW), limit, recorded
-        self.used = 0
+        self.used = self.elapsed = 0
         self._failed = dict.fromkeys(range(1, LARGEST_PERIOD + 1), np.inf)
 
     def run(self, x: np.ndarray) -> Settled:
         """Iterate from a state (n,) until the response repeats or the limit is reached."""
-        strobe, sizes = [x], []
+        strobe: deque[np.ndarray] = deque([x], maxlen=_MEMORY + 1)
+        sizes: deque[np.ndarray] = deque(maxlen=_WINDOW)
         waves: deque[np.ndarray] = deque(maxlen=max(self.recorded, 1))
         while self.used < self.limit:
-            for wave in self._periods(strobe[-1], self._bunch(len(strobe))):
-                waves.append(wave)
-                strobe.append(wave[-1])
-                sizes.append(abs(wave).max(axis=0))
-            if len(strobe) > self.transient and (len(strobe) % _BUNCH == 0 or self.used >= self.limit):
-                scale = np.max(sizes[-_WINDOW:], axis=0) + self.floor
-                found = self._judge(np.array(strobe[-_MEMORY - 1 :]) / scale, strobe[-1], scale)
+            bunch = self._periods(strobe[-1], self._bunch(self.elapsed + 1))
+            waves.extend(bunch)
+            strobe.extend(wave[-1] for wave in bunch)
+            sizes.extend(abs(np.array(bunch[-_WINDOW:])).max(axis=1))
+            self.elapsed += len(bunch)
+            known = self.elapsed + 1
+            if known > self.transient and (known % _BUNCH == 0 or self.used >= self.limit):
+                scale = np.max(sizes, axis=0) + self.floor
+                found = self._judge(np.array(strobe) / scale, strobe[-1], scale)
                 if found is not None:
                     return self._record(*found)
         return Settled(0, self.used, np.vstack([w[:-1] for w in waves]), strobe[-1], waves[0][0])
@@ -116,7 +129,7 @@ class Settling:
         """Return the number of periods up to the next judgement, or up to the limit."""
         first = max(known + 1, self.transient + 1)
         wanted = -(-first // _BUNCH) * _BUNCH - known
-        return min(wanted, self.limit - self.used)
+        return min(wanted, self.limit - self.used, _FEW)
 
     def _periods(self, x: np.ndarray, count: int) -> list[np.ndarray]:
         self.used += count
@@ -148,6 +161,12 @@ class Settling:
 
     def _newton(self, n: int, x: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray] | None:
         """Sum the series of differences of the n-fold map; None unless the cycle attracts and is near."""
+        try:
+            return self._summed(n, x, scale)
+        except (ContinuationError, np.linalg.LinAlgError):  # a trial state that is lost says nothing of the response
+            return None
+
+    def _summed(self, n: int, x: np.ndarray, scale: np.ndarray) -> tuple[int, np.ndarray] | None:
         start, size, last = x, np.inf, np.inf
         derivative = self._derivative(n, x, scale)
         if _radius(derivative) >= _CONTRACTING:

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from continuation.errors import ContinuationError, IntegrationFailed
 from continuation.model.system import System
+from continuation.timedomain.along import arguments, crossings, outputs
 from continuation.timedomain.cvodes import CVODES, DrivenModel, PeriodIntegrator
 from continuation.timedomain.exact import ExactIntegrator, describe
 from continuation.timedomain.fixed_step import FixedStep
+from continuation.timedomain.variational import sensitivities, tangents
 
 _CLOCK = "turns of the clock"
+_BETWEEN = 256  # phases of a period between which CVODES may miss a contact
+_FEW = 256  # periods of fixed steps in one call: room for contact changes is made beforehand
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,11 @@ class Simulation:
         Phase, contact, direction (+1 when the argument increases) of every contact change.
     pieces : ndarray of int (m,)
         Linear piece of every contact at the start.
+    tangent : ndarray (n, n)
+        Derivative of the last state with respect to the first, at fixed phases (times, when the System is autonomous);
+        over a period of a periodic response this is the monodromy matrix. Empty unless asked for.
+    sensitivities : dict of str to ndarray (n,)
+        Derivative of the last state with respect to every parameter, likewise; empty unless asked for.
     """
 
     system: str
@@ -82,6 +89,8 @@ class Simulation:
     outputs: dict[str, np.ndarray]
     changes: np.ndarray
     pieces: np.ndarray
+    tangent: np.ndarray
+    sensitivities: dict[str, np.ndarray]
 
     @property
     def end(self) -> np.ndarray:
@@ -106,6 +115,7 @@ def simulate(
     *,
     integrator: CVODES | EventExact | FixedStep | None = None,
     phases: Sequence[float] | np.ndarray | None = None,
+    derivatives: bool = False,
     **parameters: float,
 ) -> Simulation:
     """Integrate from phase 0 with the exact contact laws.
@@ -121,14 +131,17 @@ def simulate(
     phases : array (k,), optional
         Increasing phases in [0, 2*pi), or times in [0, 1) when the System is autonomous, at which states are wanted in
         every period; 64 equidistant ones when absent. The last instant is added.
+    derivatives : bool
+        Also integrate the variational equations: derivatives of the end by the start and by every parameter. With
+        ``EventExact`` alone: a contact change contributes nothing there but is not stepped over.
     **parameters : float
         Values of parameters; the others keep the System's defaults.
 
     Returns
     -------
     Simulation
-        With CVODES contact changes are found between the chosen phases, to the 4th power of their distance, and
-        contacts that last shorter are not seen; the other two land on every change.
+        With CVODES contact changes are found between 256 phases of every period, to the 4th power of their distance,
+        and contacts that last shorter are not seen; the other two land on every change.
 
     Raises
     ------
@@ -153,16 +166,22 @@ def simulate(
     method = EventExact() if integrator is None else integrator
     x, p = np.array(start, dtype=float).ravel(), system.parameter_vector(parameters)
     _check(system, x, p, span)
+    if derivatives and not isinstance(method, EventExact):
+        raise ValueError(f"simulate {system.name!r}: derivatives come with EventExact(...), got {method!r}")
     length = 1.0 if system.frequency is None else 2 * np.pi
-    wanted = _in_period(phases, length)
-    grid = (length * np.arange(int(np.ceil(span)))[:, None] + wanted).ravel()
-    grid = np.append(grid[grid < length * span * (1 - 1e-14)], length * span)
+    wanted, tangent = _in_period(phases, length), np.empty((0, 0))
+    by: dict[str, np.ndarray] = {}
+    grid = _grid(wanted, length, span)
     if isinstance(method, FixedStep):
         states, changes = _fixed(system, method, x, p, span, wanted, grid)
     elif isinstance(method, CVODES):
-        states, changes = _cvodes(system, method, x, p, span, wanted, grid)
+        fine = _finer(wanted, length) if system.contacts else wanted
+        dense = _grid(fine, length, span)
+        states = _cvodes(system, method, x, p, span, fine, dense)
+        changes = crossings(system, states, dense, p)
+        states = states[np.searchsorted(dense, grid)]
     else:
-        states, changes = _exact(system, method, x, p, grid)
+        states, changes, tangent, by = _exact(system, method, x, p, grid, derivatives)
     turn = 1.0 if system.frequency is None else p[system.parameter_names.index(system.frequency)]
     return Simulation(
         system=system.name,
@@ -172,9 +191,11 @@ def simulate(
         phases=grid,
         time=grid / turn,
         states=states,
-        outputs=_outputs(system, states, grid, p),
+        outputs=outputs(system, states, grid, p),
         changes=changes,
-        pieces=_arguments(system, x[None], np.zeros(1), p)[1],
+        pieces=arguments(system, x[None], np.zeros(1), p)[1],
+        tangent=tangent,
+        sensitivities=by,
     )
 
 
@@ -196,19 +217,29 @@ def _in_period(phases: Sequence[float] | np.ndarray | None, length: float) -> np
     return wanted
 
 
+def _grid(wanted: np.ndarray, length: float, span: float) -> np.ndarray:
+    """Return the phases wanted in every period, and the end."""
+    grid = (length * np.arange(int(np.ceil(span)))[:, None] + wanted).ravel()
+    return np.append(grid[grid < length * span * (1 - 1e-14)], length * span)
+
+
 def _fixed(
     system: System, method: FixedStep, x: np.ndarray, p: np.ndarray, span: float, wanted: np.ndarray, grid: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     integrator, whole = method.compile(system), int(span)
-    run = integrator.run(x, p, whole, phases=wanted, changes=True)
-    states, changes, length = [*run.samples.reshape(-1, len(x))], run.changes, grid[-1] / span
+    states, changes, length = [np.empty((0, len(x)))], [np.empty((0, 3))], grid[-1] / span
+    for done in range(0, whole, _FEW):
+        run = integrator.run(x, p, min(_FEW, whole - done), phases=wanted, changes=True)
+        states.append(run.samples.reshape(-1, len(x)))
+        changes.append(run.changes + np.array([done * length, 0.0, 0.0]))
+        x = run.end
     rest = grid[-1] - whole * length
     if rest <= 1e-14 * grid[-1]:
-        return np.array([*states, run.end]), changes
+        return np.vstack([*states, x]), np.vstack(changes)
     ahead = np.append(wanted[wanted < rest * (1 - 1e-14)], rest)
-    last = integrator.run(run.end, p, 1, phases=ahead, changes=True)
+    last = integrator.run(x, p, 1, phases=ahead, changes=True)
     late = last.changes[last.changes[:, 0] <= rest] + [whole * length, 0, 0]
-    return np.array([*states, *last.samples[0]]), np.vstack([changes, late])
+    return np.vstack([*states, *last.samples]), np.vstack([*changes, late])
 
 
 def _clocked(system: System, p: np.ndarray) -> tuple[System, np.ndarray, float]:
@@ -219,18 +250,33 @@ def _clocked(system: System, p: np.ndarray) -> tuple[System, np.ndarray, float]:
 
 
 def _exact(
-    system: System, method: EventExact, x: np.ndarray, p: np.ndarray, grid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+    system: System, method: EventExact, x: np.ndarray, p: np.ndarray, grid: np.ndarray, derivatives: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
     driven, p, turn = _clocked(system, p)
     integrator = ExactIntegrator(driven, rtol=method.rtol, atol=method.atol, steps=method.steps)
     run = integrator.between(x, p, 0.0, turn * grid[-1])
     changes = np.array(run.changes, dtype=float).reshape(-1, 3) / [turn, 1, 1]
-    return integrator.sample(run, p, turn * grid), changes
+    states = integrator.sample(run, p, turn * grid)
+    if not derivatives:
+        return states, changes, np.empty((0, 0)), {}
+    known = tangents(integrator, [run], p)
+    by = {
+        name: sensitivities(integrator, known, 1, p, unit)[0]
+        for name, unit in zip(system.parameter_names, np.eye(len(p)), strict=False)  # the last one may be the clock's
+    }
+    return states, changes, known.whole(0), by
+
+
+def _finer(wanted: np.ndarray, length: float) -> np.ndarray:
+    """Return the phases wanted with others between them, at most 1/256 of a period apart."""
+    others = length * np.arange(_BETWEEN) / _BETWEEN
+    near = abs(others[:, None] - wanted).min(axis=1, initial=length) < length / 8 / _BETWEEN
+    return np.sort(np.concatenate([wanted, others[~near]]))
 
 
 def _cvodes(
     system: System, method: CVODES, x: np.ndarray, p: np.ndarray, span: float, wanted: np.ndarray, grid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> np.ndarray:
     driven, q, turn = _clocked(system, p)
     model, length = DrivenModel.of(driven), grid[-1] / span
     inside = wanted[wanted > 0]
@@ -251,41 +297,4 @@ def _cvodes(
             raise IntegrationFailed(f"{error}, {where}", k * length, names) from error
         rows += [*(path[:-1] if len(inside) < len(wanted) else path[1:-1])]
         at = path[-1]
-    states = np.array([*rows, at])
-    return states, _crossings(system, states, grid, p)
-
-
-def _crossings(system: System, states: np.ndarray, grid: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return the contact changes on the cubic Hermite interpolants of the contact arguments."""
-    found = []
-    arguments, _, rates = _arguments(system, states, grid, p)
-    for i, contact in enumerate(system.contacts):
-        for b in contact.breakpoints:
-            below = arguments[:, i] - b < 0
-            curve = CubicHermiteSpline(grid, arguments[:, i] - b, rates[:, i])
-            for j in np.flatnonzero(below[:-1] != below[1:]):
-                roots = CubicHermiteSpline(grid[j : j + 2], curve(grid[j : j + 2]), curve(grid[j : j + 2], 1)).roots()
-                inside = roots[(roots >= grid[j]) & (roots <= grid[j + 1])]
-                found += [(float(inside[0]) if len(inside) else grid[j], i, 1 if below[j] else -1)]
-    return np.array(sorted(found), dtype=float).reshape(-1, 3)
-
-
-def _arguments(
-    system: System, states: np.ndarray, phases: np.ndarray, p: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return contact arguments (k, m), pieces of the first state (m,), and rates of the arguments by phase (k, m)."""
-    omega = ca.SX(1) if system.frequency is None else system.p[system.parameter_names.index(system.frequency)]
-    along = ca.jtimes(system.arguments, system.x, system.closed() / omega)
-    rate = along + (0 if system.frequency is None else ca.jacobian(system.arguments, system.theta))
-    f = ca.Function("arguments", [system.x, system.theta, system.p], [system.arguments, rate])
-    values, rates = (r.full().T for r in f(states.T, phases[None], p))
-    pieces = [int(c.mode(a)) for c, a in zip(system.contacts, values[0], strict=True)]
-    return values, np.array(pieces, dtype=int), rates
-
-
-def _outputs(system: System, states: np.ndarray, phases: np.ndarray, p: np.ndarray) -> dict[str, np.ndarray]:
-    if not system.output_names:
-        return {}
-    law = ca.substitute(system.outputs, system.phi, system.forces()) if system.contacts else system.outputs
-    f = ca.Function("outputs", [system.x, system.theta, system.p], [law])
-    return dict(zip(system.output_names, f(states.T, phases[None], p).full(), strict=True))
+    return np.array([*rows, at])

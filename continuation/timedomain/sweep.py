@@ -122,7 +122,7 @@ class _Run:
         self.march = ca.external("march", task.march) if task.march else None
         self.x = np.array(task.starts[0])
         self._witness: Witness | None = None
-        self.used = 0
+        self.used = self.elapsed = 0
 
     def value(self, i: int) -> Row:
         """Settle at one value and describe what is there."""
@@ -130,13 +130,14 @@ class _Run:
         self.p[self.index] = task.values[i]
         if len(task.starts) > 1:
             self.x = np.array(task.starts[i])
-        self.used = 0
+        self.used = self.elapsed = 0
         try:
             self.map.set(self.p)
             settled = self._settle(_approach(self.march, self.x, self.p) if self.march else self.x)
             row = row_of(task, self.map, settled)
             if not settled.period:
                 found, end = self._look(row.state)
+                self.elapsed += found.periods
                 later = self._settle(end) if found.settles else None
                 if later is not None and later.period:  # a long transient that has ended meanwhile
                     row = row_of(task, self.map, later)
@@ -145,8 +146,11 @@ class _Run:
                     row = replace(row, verdict=found.verdict, evidence=found)
         except ContinuationError as error:
             began = describe(dict(zip(self.system.state_names, self.x.tolist(), strict=True)))
-            reason = f"{error}. This value began with state {began}; it failed within {self.used} periods of time "
-            reason += f"{2 * np.pi / float(self.p[self.clock]):.6g}"
+            length = 2 * np.pi / float(self.p[self.clock])
+            reason = (
+                f"{error}. This value began with state {began}; times above count from {self.elapsed} periods later"
+            )
+            reason += f", at time {self.elapsed * length:.6g}"
             logger.warning("%s = %g: %s", task.parameter, task.values[i], reason)
             self.x = np.array(task.starts[0])
             return failed_row(task, reason, self.used)
@@ -164,10 +168,11 @@ class _Run:
             recorded=1 if again else task.recorded,
             ahead=self.map.ahead,
         )
+        before = self.elapsed
         try:
             return settling.run(x)
         finally:
-            self.used += settling.used
+            self.used, self.elapsed = self.used + settling.used, before + settling.elapsed
 
     def _look(self, x: np.ndarray) -> tuple[Evidence, np.ndarray]:
         if self._witness is None:
@@ -241,7 +246,7 @@ def sweep(
         Runs parts of 16 values side by side when every value has its own start; results do not depend on it.
     resume : str or Path
         netCDF file that keeps finished values, every 5 seconds and when interrupted; a rerun with the same arguments
-        goes on there. Not with an executor.
+        goes on there. With an executor, parts are kept as they are finished.
     progress : callable, optional
         Called with the number of values done and of all values.
 
@@ -277,8 +282,6 @@ def sweep(
     whole = task(system, parameter, given, *settings)
     if executor is None:
         return whole.run(progress)
-    if resume:
-        raise ValueError("sweep: resume can't be combined with an executor")
     from continuation.timedomain.parallel import run_in_parts
 
     return run_in_parts(whole, executor, progress)

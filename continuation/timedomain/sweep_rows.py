@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from continuation.errors import ContinuationError
 from continuation.timedomain.cvodes import CVODES
-from continuation.timedomain.period_map import PeriodMap
+from continuation.timedomain.exact import describe
+from continuation.timedomain.period_map import FEW, PeriodMap
 from continuation.timedomain.recognition import Evidence, no_evidence
 from continuation.timedomain.settling import Settled
 from continuation.timedomain.sweep_result import FAILED, HARMONICS, Sweep, joined, period_verdict
@@ -42,15 +44,20 @@ def row_of(task: SweepTask, period_map: PeriodMap, settled: Settled) -> Row:
     again = period_map.described_again and not settled.period
     begin, count = settled.begin, settled.period or task.recorded
     if again:  # the periods to describe follow those of the search
-        begin, waves = settled.state, period_map.ahead(settled.state, count)
+        begin, waves = settled.state, np.empty((0, 1, len(settled.state)))
     else:
         samples = settled.waveform
         count = settled.period or min(task.recorded, settled.periods_used)
         parts = samples.reshape(count, -1, samples.shape[1])
         ends = np.vstack([parts[1:, 0], settled.state])
         waves = np.concatenate([parts, ends[:, None]], axis=1)
-    numbers, strobe = period_map.describe(begin, waves, bool(settled.period))
-    size = abs(waves).max(axis=(0, 1)).max()
+    with np.errstate(over="ignore", invalid="ignore"):
+        numbers, strobe = period_map.describe(begin, count, waves, bool(settled.period))
+    _check_finite(task, numbers, begin)
+    if again:
+        size, amplitudes = _along(period_map, begin, count)
+    else:
+        size, amplitudes = float(abs(waves).max()), harmonics(period_map.quantity(waves), count, HARMONICS)
     error = period_map.step_error(begin, settled.period) / max(size, 1e-300) if settled.period else np.nan
     factor = np.nan
     if task.load:
@@ -62,12 +69,33 @@ def row_of(task: SweepTask, period_map: PeriodMap, settled: Settled) -> Row:
         used=settled.periods_used + (count if again else 0),
         numbers=numbers[0],
         factor=float(factor),
-        harmonics=harmonics(period_map.quantity(waves), len(waves), HARMONICS),
+        harmonics=amplitudes,
         points=strobe[:count],
         state=strobe[-1],
         step_error=float(error),
         evidence=no_evidence("the response repeats within the tolerance" if settled.period else ""),
     )
+
+
+def _along(period_map: PeriodMap, x: np.ndarray, count: int) -> tuple[float, np.ndarray]:
+    """Return the largest state and the harmonics of the quantity over periods from x, few at a time."""
+    size, total = 0.0, np.zeros(HARMONICS + 1, dtype=complex)
+    for done in range(0, count, FEW):
+        waves = period_map.ahead(x, min(FEW, count - done))
+        size = max(size, float(abs(waves).max()))
+        total += len(waves) * harmonics(period_map.quantity(waves), len(waves), HARMONICS)
+        x = waves[-1, -1]
+    return size, total / count
+
+
+def _check_finite(task: SweepTask, numbers: np.ndarray, begin: np.ndarray) -> None:
+    for name, row in zip(dict.fromkeys(q for q in (task.quantity, task.load) if q), numbers, strict=True):
+        if not np.all(np.isfinite(row)):
+            state = describe(dict(zip(task.model.state_names, begin.tolist(), strict=True)))
+            raise ContinuationError(
+                f"{name!r} of {task.model.name!r} is no finite number all along the response that has the state "
+                f"{state} at time 0, phase 0; check its expression there"
+            )
 
 
 def failed_row(task: SweepTask, reason: str, used: int) -> Row:

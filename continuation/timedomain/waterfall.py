@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from continuation.errors import ContinuationError
 from continuation.model.system import System
-from continuation.timedomain.period_map import Integrator, period_map
+from continuation.timedomain.period_map import SAMPLES, Integrator, period_map
 from continuation.timedomain.sweep_result import Sweep
 from continuation.timedomain.waveform import order_spectrum
 
@@ -25,6 +26,8 @@ class Waterfall:
         Multiples of the excitation frequency.
     amplitudes : ndarray (k, m)
         With a Hann window over whole periods; NaN where there is no state to start from, or the integration failed.
+    failures : tuple of str, length k
+        Reason for a row of NaN, else empty.
     """
 
     parameter: str
@@ -32,6 +35,21 @@ class Waterfall:
     values: np.ndarray
     orders: np.ndarray
     amplitudes: np.ndarray
+    failures: tuple[str, ...]
+
+    def save(self, path: str | Path) -> None:
+        """Write a netCDF file, as a whole or not at all."""
+        import xarray as xr  # slow to import, needed here alone
+
+        from continuation.netcdf import write_dataset
+
+        data = {
+            "amplitudes": (("value", "order"), self.amplitudes),
+            "failures": (("value",), np.array(self.failures, dtype=object)),
+        }
+        coordinates = {"value": self.values, "order": self.orders}
+        attributes = {"format": "waterfall", "schema": 1, "parameter": self.parameter, "quantity": self.quantity}
+        write_dataset(xr.Dataset(data, coordinates, attributes), path)
 
 
 def waterfall(
@@ -76,16 +94,19 @@ def waterfall(
         raise ValueError(f"waterfall: expected 4 or more periods and a positive order, got {periods} and {highest}")
     march = period_map(system, integrator, (quantity or sweep.quantity,))
     p, index = system.parameter_vector(sweep.fixed), system.parameter_names.index(sweep.parameter)
-    orders, rows = np.empty(0), []
+    orders = np.arange(int(highest * periods) + 1) / periods
+    orders, rows, failures = orders[(orders <= highest) & (orders <= SAMPLES / 2)], [], []
     for value, x in zip(sweep.values, sweep.states, strict=True):
         p[index] = value
-        row = None
+        row, failure = np.full(len(orders), np.nan), ""
         if np.all(np.isfinite(x)):
             try:
                 march.set(p)
-                orders, row = order_spectrum(march.quantity(march.ahead(x, periods)), periods, highest)
-            except ContinuationError:
-                row = None
+                row = order_spectrum(march.quantity(march.ahead(x, periods)), periods, highest)[1]
+            except ContinuationError as error:
+                failure = str(error)
+        else:
+            failure = "no state to start from"
         rows.append(row)
-    table = np.array([np.full(len(orders), np.nan) if row is None else row for row in rows])
-    return Waterfall(sweep.parameter, quantity or sweep.quantity, sweep.values, orders, table)
+        failures.append(failure)
+    return Waterfall(sweep.parameter, quantity or sweep.quantity, sweep.values, orders, np.array(rows), tuple(failures))

@@ -1,13 +1,16 @@
-"""Cost of doubled branches and of a cascade.
+"""Cost of a branch with all its points, of doubled branches and of a cascade.
 
 ``python tests/benchmarks/test_branches.py`` prints a table; under pytest-benchmark the same runs are timed.
 """
 
 from __future__ import annotations
 
+import cProfile
+import pstats
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +21,15 @@ import reference_systems as rs
 from continuation import HarmonicBalance, Shooting, cascade, switch, trace
 
 SPAN = (2.6, 0.4)
+PARTS = {
+    "steps along the branch": ("arclength.py", "walk"),
+    "search of critical multipliers": ("screening.py", "screen"),
+    "search of grazing": ("grazing.py", "search"),
+    "location": ("locate.py", "locate"),
+    "location of grazing": ("grazing_system.py", "locate_touch"),
+    "multipliers with error bars": ("harmonic_balance.py", "orbits"),
+    "normal forms": ("normal_form.py", "describe"),
+}
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +37,21 @@ def doublings():
     return gear_doublings()
 
 
+def gear_branch():
+    """Return the branch of period 1 of the gear pair."""
+    problem = HarmonicBalance().discretise(rs.gear(), "frequency_ratio")
+    return trace(problem, problem.guess(frequency_ratio=SPAN[0]), SPAN)
+
+
+def test_branch_with_all_points_of_all_kinds(benchmark):
+    branch = benchmark.pedantic(gear_branch, rounds=2, iterations=1)
+    assert len(branch.special_points) == 16
+    benchmark.extra_info["milliseconds per orbit"] = 1e3 * branch.work["seconds"] / len(branch)
+
+
 def gear_doublings():
     """Return the four period-doublings of the gear pair."""
-    problem = HarmonicBalance().discretise(rs.gear(), "frequency_ratio")
-    branch = trace(problem, problem.guess(frequency_ratio=SPAN[0]), SPAN)
+    branch = gear_branch()
     return [q for q in branch.special_points if q.kind == "period-doubling"]
 
 
@@ -53,7 +76,19 @@ def test_cascade_to_period_16(benchmark, method):
 
 
 def main() -> None:
-    """Print seconds of wall and processor time."""
+    """Print seconds of wall and processor time, and where those of the branch go."""
+    gear_branch()
+    worked = time.process_time()
+    branch = gear_branch()
+    work = time.process_time() - worked
+    print(f"branch of period 1: {len(branch)} orbits, {len(branch.special_points)} points, {work:.2f} s processor,")
+    print(f"  {1e3 * work / len(branch):.1f} ms per orbit")
+    profile = cProfile.Profile()
+    profile.runcall(gear_branch)
+    stats: Any = pstats.Stats(profile)
+    for part, (file, function) in PARTS.items():
+        share = sum(v[3] for k, v in stats.stats.items() if k[0].endswith(f"/{file}") and k[2] == function)
+        print(f"  {part}: {100 * share / stats.total_tt:.0f} %")
     for point in gear_doublings():
         began, worked = time.perf_counter(), time.process_time()
         branch = switch(point, SPAN)

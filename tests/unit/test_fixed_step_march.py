@@ -33,6 +33,14 @@ def always_closed():
     )
 
 
+def drift():
+    """Two quantities that rise for ever, one by a linear and one by a nonlinear equation."""
+    x, y, theta, omega = symbols("x", "y", "theta", "omega")
+    rates = {"x": 0.02 * x + 0.01 * ca.cos(theta), "y": 0.05 + 0.001 * y**2}
+    return System(name="drift", states={"x": x, "y": y}, derivatives=rates, phase=theta, frequency="omega",
+                  parameters={"omega": (omega, 1.0)})  # fmt: skip
+
+
 def exact_end(system, x, p, periods):
     return ExactIntegrator(system, rtol=1e-12, atol=1e-13).integrate(x, p, periods).end
 
@@ -77,6 +85,7 @@ def test_corners_cost_no_accuracy(steps):
             ("x", "w"),
         ),
         (duffing(), {}, np.ones(2), FixedStep(37, 2), ("x",)),
+        (drift(), {}, np.array([1.0, 2.0]), FixedStep(64), ("x", "y")),  # no extremum in any period
     ],
 )
 def test_without_a_compiler_the_same_numbers(monkeypatch, system, values, start, settings, quantities):
@@ -85,12 +94,51 @@ def test_without_a_compiler_the_same_numbers(monkeypatch, system, values, start,
     monkeypatch.setattr(machine_code, "find_compiler", lambda: None)
     virtual = settings.compile(system, quantities)
     assert "compiled with" in compiled.note
-    assert virtual.note == "in CasADi's virtual machine: no C compiler was found"
+    assert virtual.note == "without machine code: no C compiler was found"
     assert isinstance(virtual._engine, VirtualMarch)
     a, b = (f.run(start, p, 5, statistics=True, phases=[0.0, 0.1, 2.0, 6.2], changes=True) for f in (compiled, virtual))
     for name in ("strobe", "mean", "variance", "minimum", "maximum", "samples", "changes", "change_states"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-13, err_msg=name)
     assert all(np.allclose(u, v, rtol=0, atol=1e-13) for u, v in zip(a.shares, b.shares, strict=True))
+
+
+@pytest.mark.parametrize(("steps", "order"), [(256, 4), (37, 8), (16, 4), (100, 5), (65, 2)])
+def test_products_of_step_matrices_are_the_steps(monkeypatch, steps, order):
+    """A model that is linear in its contact modes goes by tabulated products; the virtual machine gives the same."""
+    monkeypatch.setattr(machine_code, "find_compiler", lambda: None)
+    system = stops(damping=0.1, gain=0.3, force=0.8, width=0.5, stops=2)
+    settings, start, p = FixedStep(steps, order), np.full(4, 0.3), system.parameter_vector()
+    products, plain = (settings.compile(system, ("x", "w")) for _ in range(2))
+    assert products._engine._products.fits(steps)
+    monkeypatch.setattr(plain._engine._products, "linear", False)
+    for q in (p, 1.1 * p, p):  # tables belong to parameters
+        a, b = (f.run(start, q, 4, statistics=True, phases=[0.0, 1.0], changes=True) for f in (products, plain))
+        for name in ("strobe", "mean", "variance", "minimum", "maximum", "samples", "changes", "change_states"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=1e-12, err_msg=name)
+        assert len(a.changes) > 2
+
+
+def test_products_are_for_linear_modes_and_tables_of_reasonable_size(monkeypatch):
+    monkeypatch.setattr(machine_code, "find_compiler", lambda: None)
+    for system, steps, fits in ((duffing(), 256, False), (backlash(), 256, True), (gear(), 256, True),
+                                (gear(), 16384, False)):  # fmt: skip
+        assert FixedStep().compile(system)._engine._products.fits(steps) is fits
+
+
+@pytest.mark.parametrize("compiler", [True, False])
+def test_samples_at_points_of_the_grid_are_those_points(monkeypatch, compiler):
+    """Phases that differ from the grid by rounding alone cost no step of their own, and none is left out."""
+    if not compiler:
+        monkeypatch.setattr(machine_code, "find_compiler", lambda: None)
+    system = backlash()
+    p = system.parameter_vector({"omega": 0.7531})
+    grid = 2 * np.pi * np.arange(64) / 64
+    shifted = np.nextafter(grid, np.where(np.arange(64) % 2, 0.0, 9.0))
+    runs = [FixedStep(256).compile(system).run(HIGH, p, 2, phases=phases) for phases in (grid, shifted, grid + 1e-7)]
+    assert np.array_equal(runs[0].samples, runs[1].samples)
+    assert np.array_equal(runs[0].samples[:, 0], runs[0].strobe[:-1])
+    later = runs[2].samples - runs[0].samples
+    assert 1e-9 < abs(later).max() < 1e-6
 
 
 def test_statistics_of_a_contact_loss_orbit():

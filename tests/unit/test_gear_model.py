@@ -95,7 +95,8 @@ def test_names_parameters_and_defaults() -> None:
         "torque": STATES["before"].torque,
         "mesh_damping_ratio": 0.02,
     }
-    assert (system.frequency, system.output_names) == ("frequency_ratio", ("mesh_force", "deflection"))
+    bearings = tuple(f"bearing_{name}" for name in COORDINATES)
+    assert (system.frequency, system.output_names) == ("frequency_ratio", ("mesh_force", "deflection", *bearings))
     assert [(c.breakpoints, c.slopes) for c in system.contacts] == [((-1.0, 1.0), (1.0, 0.0, 1.0))]
 
 
@@ -110,7 +111,9 @@ def test_outputs_are_mesh_force_and_deflection(seed: int) -> None:
     system = gear_system(d)
     x, theta = np.random.default_rng(seed).uniform(-2, 2, 14), 0.7
     outputs = ca.substitute(system.outputs, system.phi, system.forces())
-    force, deflection = evaluate(system, outputs, x, theta)
+    force, deflection, *bearings = evaluate(system, outputs, x, theta)
+    balance = np.array(d.directions) * force + np.array(bearings)  # what is left accelerates: (24)-(29)
+    assert system.rhs(x, theta)[8:] == pytest.approx(-np.array(d.mass_ratios) * balance)
     assert deflection == pytest.approx(x[0] - float(d.error(theta)))
     contact = max(deflection - 1, 0) + d.coast_stiffness_ratio * min(deflection + 1, 0)
     step = 1e-6

@@ -2,16 +2,19 @@
 
 import dataclasses
 import json
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+import tracemalloc
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 
 import casadi as ca
 import numpy as np
 import pytest
+import xarray as xr
 from reference_systems import backlash, duffing, gear, symbols
 
 from continuation import CVODES, EventExact, FixedStep, Sweep, System, sweep, up_and_down, waterfall
 from continuation.model import machine_code
+from continuation.plotting_timedomain import plot_waterfall
 from continuation.timedomain.fixed_step import SuitableSteps
 from continuation.timedomain.plain_system import PlainSystem
 from continuation.timedomain.sweep import SweepTask
@@ -22,13 +25,14 @@ HIGH = [0.8338430125, 0.1640787518]
 
 @pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
 def test_published_orbits_of_the_backlash_oscillator(integrator):
-    """Low orbit at 0.6, high one at 0.75 and the one at 1: states at phase 0, rms, dynamic factor."""
-    values, states = [0.6, 0.75, 1.0], [(1.1278799613, 0.0015682478), HIGH, (0.9059653748, 0.0557744441)]
+    """Orbit at 0.6, high and low ones at 0.75 and the one at 1: states at phase 0, rms, dynamic factor."""
+    low = (1.1624504362, 0.0080293418)
+    values, states = [0.6, 0.75, 1.0, 0.75], [(1.1278799613, 0.0015682478), HIGH, (0.9059653748, 0.0557744441), low]
     found = sweep(backlash(), "omega", values, quantity="x", load="contact force", start=states, integrator=integrator)
-    assert found.period.tolist() == [1, 1, 1]
+    assert found.period.tolist() == [1, 1, 1, 1]
     sampled = integrator is not None and not isinstance(integrator, FixedStep)
     assert abs(found.states - states).max() < 3e-8
-    assert abs(found.rms - [0.01980055, 0.22472379, 0.13308283]).max() < (1e-6 if sampled else 3e-8)
+    assert abs(found.rms[:3] - [0.01980055, 0.22472379, 0.13308283]).max() < (1e-6 if sampled else 3e-8)
     assert found.dynamic_factor[2] == pytest.approx(2.69255, abs=2e-3 if sampled else 1e-5)
     assert np.array_equal(found.points[:, 0], found.states) or abs(found.points[:, 0] - found.states).max() < 1e-8
 
@@ -100,6 +104,21 @@ class Interrupted(Exception):
     pass
 
 
+class Inline(Executor):
+    """The least that an executor can be; interrupted after so many good tasks."""
+
+    def __init__(self, good=1000):
+        self.good = good
+
+    def submit(self, fn, /, *args, **kwargs):
+        future, self.good = Future(), self.good - 1
+        if self.good < 0:
+            future.set_exception(Interrupted())
+        else:
+            future.set_result(fn(*args, **kwargs))
+        return future
+
+
 def test_an_interrupted_sweep_goes_on_where_it_was(tmp_path):
     values, file = [0.7, 0.9, 1.1, 1.2], tmp_path / "part.nc"
     settings = {"quantity": "x", "load": "", "limit": 200}
@@ -124,6 +143,22 @@ def test_an_interrupted_sweep_goes_on_where_it_was(tmp_path):
         sweep(duffing(), "omega", values, resume=tmp_path / "none" / "part.nc", **settings)
 
 
+def test_parts_of_an_executor_are_kept_as_well(tmp_path):
+    values, file = np.linspace(1.13, 1.26, 40), tmp_path / "parts.nc"
+    settings = {"quantity": "x", "start": np.tile([[2.8, 0.0], [0.0, 0.0]], (20, 1)), "limit": 60, "recorded": 8}
+
+    with pytest.raises(Interrupted):
+        sweep(duffing(), "omega", values, executor=Inline(good=2), resume=file, **settings)
+    assert len(Sweep.load(file).values) == 32
+    seen = []
+    more = {"resume": file, "progress": lambda *a: seen.append(a), **settings}
+    with ThreadPoolExecutor(2) as pool:
+        found = sweep(duffing(), "omega", values, executor=pool, **more)
+        again = sweep(duffing(), "omega", values, executor=pool, **more)
+    assert seen == [(40, 40)]
+    assert found.to_dict() == again.to_dict() == sweep(duffing(), "omega", values, **settings).to_dict()
+
+
 def test_interrupted_threads_keep_both_directions(tmp_path):
     def stop(done, total):
         raise KeyboardInterrupt
@@ -146,9 +181,65 @@ def test_overflow_and_nan_are_named_and_the_rest_goes_on(integrator):
         assert found.verdicts[1] == "failed"
         assert f"g = {bad:g}" in found.failures[1]
         assert "x = " in found.failures[1]
-        assert "time" in found.failures[1] or "phase" in found.failures[1]
+        assert "time" in found.failures[1]
+        assert "periods later" in found.failures[1]
         assert np.isnan(found.rms[1])
         assert np.isfinite(found.rms[[0, 2]]).all()
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+def test_slow_growth_to_the_end_of_the_numbers(integrator):
+    """Negative damping: exp(0.3 t) passes 1e308 after 377 periods; the time is that since the value began."""
+    system = oscillator(lambda x, v, t, omega, g: g * ca.cos(t) + 0.6 * v - x, omega=1.0, g=0.1)
+    fast = CVODES(rtol=1e-6, atol=1e-6) if isinstance(integrator, CVODES) else integrator
+    found = sweep(system, "g", [0.1], quantity="x", limit=400, recorded=8, integrator=fast)
+    assert found.verdicts == ("failed",)
+    assert "+30" in found.failures[0]  # the state
+    begin = float(found.failures[0].rpartition("at time ")[2])
+    assert 2 * np.pi * 350 < begin < 2 * np.pi * 380
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+def test_a_quantity_that_is_no_number_is_named(integrator):
+    """The response is fine, but the square root of x has no value on half of it."""
+    x, v, theta, omega, g = symbols("x", "v", "theta", "omega", "g")
+    system = System(name="root", states={"x": x, "v": v}, derivatives={"x": v, "v": g * ca.cos(theta) - 0.5 * v - x},
+                    phase=theta, frequency="omega", parameters={"omega": (omega, 1.2), "g": (g, 0.1)},
+                    outputs={"root": ca.sqrt(x + 0.2)})  # fmt: skip
+    for names in ({"quantity": "root"}, {"quantity": "x", "load": "root"}):
+        found = sweep(system, "g", [0.05, 0.3, 0.06], limit=60, recorded=8, integrator=integrator, **names)
+        assert found.verdicts == ("period-1", "failed", "period-1")
+        assert "'root' of 'root' is no finite number" in found.failures[1]
+        assert "x = " in found.failures[1]
+
+
+@pytest.mark.parametrize("integrator", [CVODES(rtol=1e-5, atol=1e-5), None], ids=str)
+def test_threads_do_not_disturb_each_other(integrator):
+    values = np.linspace(0.5, 1.5, 18)
+    settings = {"quantity": "x", "start": np.tile([1.0, 0.2], (18, 1)), "limit": 33, "recorded": 4}
+    alone = sweep(backlash(), "omega", values, integrator=integrator, **settings)
+    with ThreadPoolExecutor(4) as pool:
+        shared = sweep(backlash(), "omega", values, integrator=integrator, executor=pool, **settings)
+    assert alone.to_dict() == shared.to_dict()
+
+
+def test_memory_does_not_grow_with_the_periods():
+    """The samples of 3000 more periods of 2 states would take 3 MB."""
+    held = []
+    for more in ({}, {"transient": 3400}, {"recorded": 3400}):
+        settings = {"transient": 400, "recorded": 400} | more
+        tracemalloc.start()
+        sweep(backlash(), "omega", [0.75], quantity="x", start=HIGH, limit=sum(settings.values()), **settings)
+        held.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert max(held) < held[0] + 1e6
+
+
+def test_any_executor_will_do():
+    settings = {"quantity": "x", "limit": 60, "recorded": 8}
+    alone = up_and_down(duffing(), "omega", [0.8, 1.2], workers=1, **settings)
+    inline = up_and_down(duffing(), "omega", [0.8, 1.2], executor=Inline(), **settings)
+    assert [s.to_dict() for s in inline] == [s.to_dict() for s in alone]
 
 
 def test_without_a_compiler_the_numbers_are_the_same(monkeypatch):
@@ -197,6 +288,26 @@ def test_a_waterfall_follows_the_orders():
     assert half[0] < 1e-7
     assert half[1] > 0.01
     assert tracked.amplitudes[:, tracked.orders == 1.0].ravel() == pytest.approx(abs(found.harmonics[:, 1]), rel=1e-6)
+    assert tracked.failures == ("", "")
+
+
+def test_a_waterfall_says_what_is_missing(tmp_path):
+    """Weak forcing stays inside a one-sided well, strong forcing escapes."""
+    well = oscillator(lambda x, v, t, omega, g: g * ca.cos(t) - 0.2 * v - x - x**2, omega=0.8, g=0.0)
+    found = sweep(well, "g", [0.5, 0.02], quantity="x")
+    tracked = waterfall(well, found, periods=4)
+    assert tracked.failures == ("no state to start from", "")
+    assert np.isnan(tracked.amplitudes[0]).all()
+    assert np.isfinite(tracked.amplitudes[1]).all()
+    lost = dataclasses.replace(found, states=np.array([[-3.0, 0.0], found.states[1]]))
+    assert "failed at time" in waterfall(well, lost, periods=4).failures[0]
+    tracked.save(tmp_path / "waterfall.nc")
+    with xr.open_dataset(tmp_path / "waterfall.nc", engine="h5netcdf") as stored:
+        assert np.array_equal(stored.amplitudes, tracked.amplitudes, equal_nan=True)
+        assert stored.attrs["quantity"] == "x"
+    none = dataclasses.replace(tracked, amplitudes=np.full_like(tracked.amplitudes, np.nan))
+    with pytest.raises(ValueError, match="at least one spectrum"):
+        plot_waterfall(none)
 
 
 def test_misuse_is_refused():

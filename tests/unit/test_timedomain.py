@@ -9,6 +9,7 @@ from continuation import Contact, ContinuationError, System
 from continuation.errors import UnsupportedModel
 from continuation.timedomain.cvodes import CVODES
 from continuation.timedomain.exact import ExactIntegrator
+from continuation.timedomain.fixed_step import FixedStep
 from continuation.timedomain.settling import Settling
 from continuation.timedomain.variational import tangents
 
@@ -52,6 +53,14 @@ def test_event_exact_crosses_corners():
     ends = run.states[list(run.places), 0]
     assert run.phases[list(run.places)].tolist() == [phase for phase, _, _ in run.changes]
     assert abs(abs(ends) - 1).max() < 1e-13
+
+
+@pytest.mark.parametrize(("settings", "bound"), [(FixedStep(512), 1.5e-8), (FixedStep(256, 8), 6e-9)], ids=str)
+def test_fixed_steps_cross_corners(settings, bound):
+    system = backlash()
+    run = settings.compile(system).run([0.5, 0.2], system.parameter_vector(), changes=True)
+    assert abs(run.end - REFERENCE_END).max() < bound
+    assert run.changes[:, 1:].tolist() == [[0, 1], [0, -1], [0, -1], [0, 1]]
 
 
 def test_one_cvodes_integrator_serves_every_frequency():
@@ -223,6 +232,21 @@ def test_slow_convergence_within_reach_is_summed(multiplier):
     assert settled.period == 1
     assert abs(settled.state[0] - 1.0) < 1e-6
     assert settled.periods_used < 300
+
+
+def test_a_lost_trial_state_says_nothing_of_the_response():
+    """The derivative is taken by differences; where they are lost, plain iteration goes on and decides."""
+    known = {0.3}
+
+    def fragile(x):
+        if float(x[0]) not in known:
+            raise ContinuationError("this state is not on the way")
+        known.add(float(x[0] + 0.1 * (1.0 - x[0])))
+        return x + 0.1 * (1.0 - x)
+
+    settled = settle(fragile)
+    assert settled.period == 1
+    assert settled.state[0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_saddle_passed_on_the_way_is_left():
