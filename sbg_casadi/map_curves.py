@@ -141,7 +141,13 @@ def slice_values(varied: Varied, span: tuple[float, float], checks: int) -> tupl
 
 
 def find_curves(
-    varied: Varied, band: tuple[float, float], span: tuple[float, float], *, checks: int = 4, report: Report
+    varied: Varied,
+    band: tuple[float, float],
+    span: tuple[float, float],
+    *,
+    checks: int = 4,
+    report: Report,
+    tracked: Sequence[tuple[str, int]] = TRACKED,
 ) -> Curves:
     """Trace the response at several values and track every special point over the quantity, each curve once.
 
@@ -155,6 +161,8 @@ def find_curves(
     checks : int
         Values between those at which curves start; a point there that lies on no curve yet starts one, too.
     report : callable
+    tracked : sequence of (str, int)
+        Kinds and period multiples to track; without a multiple of 2, branches of period 2 are not followed at all.
 
     Raises
     ------
@@ -169,7 +177,8 @@ def find_curves(
         done = number / (len(starts) + len(between))
         report(done, f"{varied.name} {value:g}: tracing")
         try:
-            one = trace_slice(varied, value, band, doubled=value in starts)
+            doubled = value in starts and any(n == 2 for _, n in tracked)
+            one = trace_slice(varied, value, band, doubled=doubled, tracked=tracked)
         except ContinuationError as error:
             found.failures.append(f"{varied.name} {value:.6g}: no response could be traced: {error}")
             continue
@@ -191,7 +200,14 @@ def problem_at(varied: Varied, value: float) -> Any:
     return HarmonicBalance().discretise(varied.system, PARAMETER, **values)
 
 
-def trace_slice(varied: Varied, value: float, band: tuple[float, float], *, doubled: bool) -> Slice:
+def trace_slice(
+    varied: Varied,
+    value: float,
+    band: tuple[float, float],
+    *,
+    doubled: bool,
+    tracked: Sequence[tuple[str, int]] = TRACKED,
+) -> Slice:
     """Trace the response at one value, and the branches of twice the period that leave it where wanted.
 
     Raises
@@ -218,7 +234,7 @@ def trace_slice(varied: Varied, value: float, band: tuple[float, float], *, doub
     where = f"{varied.name} {value:.6g}"
     notes += [f"{where}: the response ended early: {b.stop}" for b in branches[:1] if not is_complete(b, ends[1])]
     notes += [f"{where}: unresolved: {text}" for b in branches[:1] for text in b.unresolved]
-    points = [q for b in branches for q in b.special_points if (q.kind, b.period_multiple) in TRACKED]
+    points = [q for b in branches for q in b.special_points if (q.kind, b.period_multiple) in tracked]
     return Slice(value, branches, tuple(points), notes)
 
 

@@ -169,7 +169,7 @@ def _point(problem: Any, s: Located, orbit: Orbit, nodes: list[Node], index: int
         note=s.note,
         problem=problem,
         node=_as_on_branch(problem, s),
-        form=describe(problem, s.kind, orbit, s.nu, s.solutions),
+        form=describe(problem, s.kind, orbit, (s.node.u, s.node.p), s.nu, s.solutions),
         span=(min(n.p for n in nodes), max(n.p for n in nodes)),
     )
 

@@ -55,7 +55,7 @@ class SpecialPoint:
         The point as an unknown of that problem at the resolution of the branch, with the tangent of the branch; None
         when loaded from a file.
     form : NormalForm or None
-        Critical eigenvector, direction, rotation number; None where they are not computed.
+        Critical eigenvectors, direction, rotation number; None where they are not computed.
     span : tuple of float
         Parameter range of the branch it was found on, in which other branches are followed from it unless told
         otherwise; None when loaded from a file.
@@ -228,7 +228,10 @@ def _form(form: NormalForm | None) -> dict[str, Any]:
     """Return the JSON-ready normal form; numbers that are not known are left out."""
     if form is None:
         return {}
-    out: dict[str, Any] = {"null_vector": [[x.real, x.imag] for x in form.null_vector.astype(complex).tolist()]}
+    out: dict[str, Any] = {
+        name: [[x.real, x.imag] for x in getattr(form, name).astype(complex).tolist()]
+        for name in ("null_vector", "left_vector")
+    }
     if np.isfinite(form.coefficient):
         out |= {"coefficient": form.coefficient, "coefficient_error": form.error}
     if form.criticality:

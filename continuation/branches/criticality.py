@@ -29,9 +29,12 @@ class NormalForm:
     reason : str
         Why it is undetermined.
     null_vector : array (n,)
-        Critical eigenvector of the monodromy matrix at phase 0, of length 1; complex at a Neimark-Sacker point.
+        Critical eigenvector v of the monodromy matrix at phase 0, of length 1; complex at a Neimark-Sacker point.
     rotation_number : float
         Angle of the critical multiplier over 2 pi, in (0, 1/2); NaN but at Neimark-Sacker points.
+    left_vector : array (n,)
+        Left eigenvector w, ``w* M = mu w*``, of length 1, turned so that ``w* v`` is positive: what a push in a state
+        does to the critical motion is proportional to its entry. Empty at folds of autonomous Systems.
     """
 
     coefficient: float = np.nan
@@ -40,6 +43,7 @@ class NormalForm:
     reason: str = ""
     null_vector: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
     rotation_number: float = np.nan
+    left_vector: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
 
     @property
     def resonance(self) -> tuple[str, float]:

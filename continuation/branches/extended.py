@@ -228,9 +228,11 @@ class ExtendedProblem:
 
     # ---------------------------------------------------------------- resolution
     def adapt(self, U: np.ndarray, q: float) -> tuple[np.ndarray, float]:
-        """Choose the resolution of the orbit part."""
+        """Choose the resolution of the orbit part, at a fold by its distance from the branch."""
         u, p, _ = self.split(U)
-        better, error = self.at(q).adapt(u, p)
+        inner = self.at(q)
+        at_fold = self.kind == "fold" and hasattr(inner, "half_operator")
+        better, error = inner.adapt(u, p, across=True) if at_fold else inner.adapt(u, p)
         return (U if better is u else np.append(better, U[-self.extra :])), error
 
     def lengthen(self, U: np.ndarray, like: np.ndarray) -> np.ndarray:

@@ -2,9 +2,11 @@
 
 There an extremum of the contact argument a(phase) passes a breakpoint b: ``a = b`` and ``da/dphase = 0``. Between two
 points of the branch the waveform is a quadratic of the arclength through those of the ends and of the interpolated
-middle. Both functions are bounded on cells of arclength and phase, cells are halved where neither is bounded away from
-zero, and Newton's method starts from those that are left. Where it fails, or where its solutions do not explain the
-numbers of contact changes at the ends, a true point is inserted and both halves are looked at. Extrema may come and go.
+middle; its error is measured at the quarters, that of the interpolation at a true point in the middle of the piece
+before. Both functions are bounded on cells of arclength and phase, cells are halved where neither is bounded away from
+zero, and Newton's method starts from those that are left. Where it fails, or its solutions are not certain or do not
+explain the numbers of contact changes at the ends, a true point is inserted and both halves are looked at. Extrema may
+come and go.
 """
 
 from __future__ import annotations
@@ -26,6 +28,9 @@ from continuation.orbits.patterns import contact_names
 
 _BLOCK = 32  # segments that are bounded at once
 _DEPTH = 24  # halvings of a segment
+_MOST = 100  # pieces that one segment is cut into
+_MEASURED = 1.5  # times the error of the quadratic at the quarters, bound of it everywhere
+_NEXT = 1 / 8  # of the error of the interpolation, half of it after a halving: it falls with the fourth power
 
 Wave = list[np.ndarray]
 
@@ -65,13 +70,17 @@ class Touch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Piece:
-    """A segment, the one between two nodes that it is part of, and the waveforms of all contacts on it."""
+    """A segment, the one between two nodes that it is part of, and the waveforms of all contacts on it.
+
+    ``doubt`` bounds the error of the interpolation in each of them; None where it is not known yet.
+    """
 
     segment: Segment
     origin: Segment
     start: Wave | None
     end: Wave | None
     middle: Wave | None = None
+    doubt: np.ndarray | None = None
 
     def at(self, contact: int) -> np.ndarray:
         """Return the three half spectra (3, H+1) of one contact at start, middle and end, padded to one length."""
@@ -96,6 +105,7 @@ def search(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Touch]
     for (a, b), (start, end) in zip(pairwise(nodes), pairwise(known), strict=True):
         segment = Segment(problem, metric, a, b)
         pending.append(_Piece(segment, segment, start, end))
+    cut: dict[int, int] = {}
     for depth in range(_DEPTH + 1):
         sampled = [replace(piece, middle=_waves(problem, *piece.segment.at(np.array([0.5]))[0])) for piece in pending]
         whole = [p for p in sampled if p.start is not None and p.end is not None and p.middle is not None]
@@ -110,7 +120,9 @@ def search(problem: Any, nodes: list[Node], metric: Metric) -> tuple[list[Touch]
                 pending.append(piece)
             else:
                 touches += found
-        halves = [_halved(piece) if depth < _DEPTH else [] for piece in pending]
+        for piece in pending:
+            cut[id(piece.origin)] = cut.get(id(piece.origin), 0) + 1
+        halves = [_halved(p) if depth < _DEPTH and cut[id(p.origin)] < _MOST else [] for p in pending]
         notes += [
             f"{piece.segment}: a contact argument touches a breakpoint closer than could be decided"
             for piece, parts in zip(pending, halves, strict=True)
@@ -136,9 +148,38 @@ def _halved(piece: _Piece) -> list[_Piece]:
         node = s.node(0.5)
     except NoConvergence:
         return []
-    middle = _waves(s.problem, node.u, node.p)
+    true = _waves(s.problem, node.u, node.p)
+    doubt = None
+    if true is not None and piece.middle is not None:
+        doubt = _NEXT * np.array([_distance(a, b) for a, b in zip(true, piece.middle, strict=True)])
     first, second = Segment(s.problem, s.metric, s.a, node), Segment(s.problem, s.metric, node, s.b)
-    return [_Piece(first, piece.origin, piece.start, middle), _Piece(second, piece.origin, middle, piece.end)]
+    return [
+        _Piece(first, piece.origin, piece.start, true, None, doubt),
+        _Piece(second, piece.origin, true, piece.end, None, doubt),
+    ]
+
+
+def _distance(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the largest difference of two waveforms (half spectra)."""
+    wide = max(len(a), len(b))
+    difference = np.pad(a, (0, wide - len(a))) - np.pad(b, (0, wide - len(b)))
+    return float(np.abs(np.fft.irfft(difference, 4 * wide, norm="forward")).max())
+
+
+def _doubt(piece: _Piece, contact: int) -> float | None:
+    """Return a bound of the error of the quadratic through the waveforms of a contact, None where it is not known."""
+    if piece.doubt is None:
+        return None
+    s = piece.segment
+    start, middle, end = piece.at(contact)
+    worst = 0.0
+    for x, (u, p) in zip((0.25, 0.75), s.at(np.array([0.25, 0.75])), strict=True):
+        there = _waves(s.problem, u, p)
+        if there is None:
+            return None
+        quadratic = (1 - x) * (1 - 2 * x) * start + 4 * x * (1 - x) * middle + x * (2 * x - 1) * end
+        worst = max(worst, _distance(there[contact], quadratic))
+    return _MEASURED * worst + float(piece.doubt[contact])
 
 
 # -------------------------------------------------------------------------------- bounds on a grid
@@ -155,7 +196,8 @@ def _contained(system: System, pieces: list[_Piece]) -> Iterator[tuple[_Piece, l
             spectra = np.array([np.pad(s, ((0, 0), (0, wide - s.shape[1]))) for s in stacks])
             for i, k, cells in suspicious(spectra, contact.breakpoints):
                 level, before = contact.breakpoints[k], found[i]
-                found_here = None if before is None else roots(stacks[i], level, cells)
+                doubt = None if before is None else _doubt(block[i], c)
+                found_here = None if doubt is None else roots(stacks[i], level, cells, doubt)
                 change = crossings(stacks[i][2], contact, k) - crossings(stacks[i][0], contact, k)
                 if before is None or found_here is None or sum(r[3] for r in found_here) != change:
                     found[i] = None

@@ -1,8 +1,8 @@
 """Common zeros of a contact argument's height above a breakpoint and of its slope, on one piece of a branch.
 
-The waveform is a quadratic of the arclength through those of both ends and the middle. Both functions are bounded on
-cells of arclength and phase; cells on which neither is bounded away from zero are halved, and Newton's method starts
-from those that are left.
+The waveform is a quadratic of the arclength through those of both ends and the middle, with a bound of its error. Both
+functions are bounded on cells of arclength and phase; cells on which neither is bounded away from zero are halved,
+those on which the one extremum stays clear of the breakpoint are left out, and Newton's method starts from the others.
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ from continuation.model.contact import Contact
 from continuation.orbits.contact_series import evaluate, find_pattern
 
 _SAFETY = 1.5  # of the bounds from second differences
-_DOUBT = 0.05  # part of the second difference along the branch that the interpolation may err by
 _HALVINGS = 6  # of cells
+_ROUNDING = 1e-15  # of a waveform, relative to its size
+_APART = 4.0  # error bounds by which two roots of one extremum must be separated in height
 _CROWD = 400  # cells left that are no isolated points
 _STILL = 1e-9  # amplitude of a waveform, relative to the breakpoint, that counts as rest
 
@@ -70,7 +71,7 @@ class _Surface:
     def __init__(self, spectra: np.ndarray, level: float) -> None:
         start, middle, end = spectra
         self.parts = np.array([start, 4 * middle - 3 * start - end, 2 * (start - 2 * middle + end)])
-        self.level = level
+        self.level, self.size = level, abs(level) + float(np.abs(start).sum())
         k = np.arange(spectra.shape[1])
         self.k, self.weights = k, np.where(k == 0, 1.0, 2.0)
 
@@ -82,20 +83,27 @@ class _Surface:
         value[[n == 0 for n in orders]] -= self.level
         return value, table[..., 1] + 2 * x * table[..., 2]
 
+    def curved(self, phase: np.ndarray) -> np.ndarray:
+        """Return the second derivative (N,) by x."""
+        return 2 * evaluate(self.parts[2], phase)
 
-def roots(spectra: np.ndarray, level: float, cells: np.ndarray) -> list[Root] | None:
-    """Return (x, phase, side, change) of all common zeros on a piece, or None where they are not isolated."""
+
+def roots(spectra: np.ndarray, level: float, cells: np.ndarray, doubt: float) -> list[Root] | None:
+    """Return (x, phase, side, change) of all common zeros on a piece, or None where that is not certain.
+
+    ``doubt`` bounds the distance of the argument from its quadratic through half spectra (3, H+1).
+    """
     surface = _Surface(spectra, level)
-    doubt = _DOUBT * np.abs(evaluate((spectra[0] - 2 * spectra[1] + spectra[2]), cells[:, 1]))
     for _ in range(_HALVINGS):
-        cells, doubt = _smaller(surface, cells, doubt)
-        if not len(cells):
-            return []
+        cells = _smaller(surface, cells, doubt)
         if len(cells) > _CROWD:
             return None
+        cells = cells[~_clear(surface, cells, doubt)]
+        if not len(cells):
+            return []
     found: list[Root] = []
     for x, phase, dx, dphase in cells:
-        root = _newton(surface, x + dx / 2, phase + dphase / 2)
+        root = _newton(surface, x + dx / 2, phase + dphase / 2, dphase, doubt)
         if root is None:
             return None
         if 0 <= root[0] <= 1 and all(_apart(root, other) for other in found):
@@ -103,7 +111,24 @@ def roots(spectra: np.ndarray, level: float, cells: np.ndarray) -> list[Root] | 
     return found
 
 
-def _smaller(surface: _Surface, cells: np.ndarray, doubt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _clear(surface: _Surface, cells: np.ndarray, doubt: float) -> np.ndarray:
+    """Tell on which cells the height of the one extremum stays away from zero, (N,) of bool."""
+    x, phase, dx, dphase = cells.T
+    x, start = x + dx / 2, phase + dphase / 2
+    phase = start
+    for _ in range(3):
+        (slope, bend), _ = surface(x, phase, (1, 2))
+        phase = np.clip(phase - slope / np.where(bend == 0, np.inf, bend), start - 2 * dphase, start + 2 * dphase)
+    (height, slope, bend, third), (along, turn, change, _) = surface(x, phase, (0, 1, 2, 3))
+    single = np.abs(bend) > 4 * np.abs(third) * dphase + np.abs(change) * dx  # the only extremum nearby, all over it
+    bend = np.where(single, bend, np.inf)
+    still = np.abs(slope) < 1e-3 * np.abs(bend) * dphase
+    curved = np.abs(surface.curved(phase)) + turn**2 / np.abs(bend)
+    reach = _SAFETY * (np.abs(along) * dx / 2 + curved * dx**2 / 8 + slope**2 / np.abs(bend)) + doubt
+    return np.asarray(single & still & (np.abs(height) > reach))
+
+
+def _smaller(surface: _Surface, cells: np.ndarray, doubt: float) -> np.ndarray:
     """Return the quarters of cells on which neither the height nor its slope is bounded away from zero."""
     x, phase, dx, dphase = cells.T
     grid = [(x + a * dx / 2, phase + b * dphase / 2) for a in range(3) for b in range(3)]
@@ -113,31 +138,37 @@ def _smaller(surface: _Surface, cells: np.ndarray, doubt: np.ndarray) -> tuple[n
     bend += np.abs(value[:, :, 0] - 2 * value[:, :, 1] + value[:, :, 2]).max(axis=1)
     margin = _SAFETY / 8 * bend
     margin[0] += doubt
-    kept, doubts = [], []
+    kept = []
     for a in range(2):
         for b in range(2):
             corners = value[:, a : a + 2, b : b + 2].reshape(2, 4, -1)
             near = ((corners.min(axis=1) <= margin) & (corners.max(axis=1) >= -margin)).all(axis=0)
             part = np.stack([x + a * dx / 2, phase + b * dphase / 2, dx / 2, dphase / 2], axis=1)
             kept.append(part[near])
-            doubts.append(doubt[near])
-    return np.concatenate(kept), np.concatenate(doubts)
+    return np.concatenate(kept)
 
 
-def _newton(surface: _Surface, x: float, phase: float) -> Root | None:
-    """Return (x, phase, side, change) of the common zero next to a place, None where Newton's method finds none."""
-    for _ in range(12):
+def _newton(surface: _Surface, x: float, phase: float, reach: float, doubt: float) -> Root | None:
+    """Return (x, phase, side, change) of the common zero next to a place, None where there is none for certain."""
+    for count in range(16):
         (g, slope, bend), (gx, slope_x, _) = (
             part[:, 0] for part in surface(np.array([x]), np.array([phase]), (0, 1, 2))
         )
         determinant = slope * slope_x - gx * bend
-        if determinant == 0:
+        if determinant == 0 or bend == 0:
             return None
+        if count < 3:  # on the extremum first: beside it the height depends on the phase more than on x
+            phase -= float(np.clip(slope / bend, -reach, reach))
+            continue
         dx, dphase = (g * bend - slope * slope) / determinant, (gx * slope - g * slope_x) / determinant
         x, phase = x + dx, phase + dphase
         if not (-0.5 <= x <= 1.5):
             return None
-        if abs(dx) < 1e-9 and abs(dphase) < 1e-9:
+        rounding = _ROUNDING * surface.size / max(abs(gx), 1e-300)  # of x
+        if abs(dx) < 1e-9 + rounding and abs(dphase) < 1e-9 + rounding * abs(slope_x / bend) and rounding < 0.01:
+            curved = abs(surface.curved(np.array([phase]))[0] - slope_x**2 / bend)
+            if gx**2 < 2 * _APART * doubt * curved:  # height of the parabola between this root and the next
+                return None
             side = 1 if bend < 0 else -1
             return float(x), float(phase % (2 * np.pi)), side, int(2 * np.sign(gx) * side)
     return None

@@ -136,10 +136,11 @@ def _located(touch: Touch) -> Located:
         error, last, node = 2 * change * ratio / (1 - ratio) + _FLOOR * scale, change, finer
         point = _with_tangent(system, node, segment, x)
     if not np.isfinite(error):
-        error = problem.point_error(point, "grazing") + _FLOOR * scale
+        error = problem.point_error(point, "grazing") + _of_height(system, point) + _FLOOR * scale
     good = error <= 3 * _GOAL * scale
     note = _words(touch, system.phase * problem.period_multiple)
-    note += "" if good else f"; more harmonics are needed for an error below {3 * _GOAL * scale:.0e}"
+    need = "more harmonics are needed" if hasattr(problem, "forces") else "a tighter tolerance is needed"
+    note += "" if good else f"; {need} for an error below {3 * _GOAL * scale:.0e}"
     whole = x if touch.origin is segment else touch.origin.coordinate(_fitted(touch.origin, point.u), point.p)
     return Located("grazing", point, error, touch.origin, whole, "located" if good else "guessed", note)
 
@@ -149,6 +150,18 @@ def _with_tangent(system: GrazingProblem, node: Node, segment: Segment, x: float
     u, p, _ = system.split(node.u)
     du, dp = segment.direction(x)
     return Node(u, p, *system.tangent((segment.problem.lengthen(du, u), dp), segment.metric), 1.0, node.iterations)
+
+
+def _of_height(system: GrazingProblem, point: Node) -> float:
+    """Return the parameter error by that of the height of the extremum, large where two touches are near."""
+    problem = system.inner
+    row, by = gradient(problem, point.u, point.p, system.contact, system.phase, [problem.parameter])
+    known = problem.estimate(point.u, point.p) if hasattr(problem, "estimate") else None
+    if known is not None and len(known.step) == len(row):  # by shooting the error is known in every state
+        height = 2 * abs(float(row @ known.step) + by[0] * known.dp)
+    else:
+        height = 2 * problem.error(point.u, point.p) * float(np.linalg.norm(row)) / np.sqrt(len(row))
+    return float(abs(point.tp) * height / max(abs(row @ point.tu + by[0] * point.tp), 1e-300))
 
 
 def _fitted(segment: Segment, u: np.ndarray) -> np.ndarray:

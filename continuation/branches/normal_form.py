@@ -10,7 +10,7 @@ import numpy as np
 
 from continuation.branches.branch import Kind
 from continuation.branches.criticality import NormalForm, nearest_resonance
-from continuation.branches.extended import ExtendedProblem, extended, solve_point
+from continuation.branches.extended import SHIFT, ExtendedProblem, extended, solve_point
 from continuation.branches.reduction import coefficient, null_state
 from continuation.errors import ContinuationError
 from continuation.orbits.shifted import ShiftedOperator, as_wave
@@ -51,19 +51,31 @@ def normal_form(systems: list[tuple[ExtendedProblem, np.ndarray, float]]) -> Nor
 
 
 def describe(
-    problem: Any, kind: Kind, orbit: Any, nu: float, solutions: Sequence[tuple[ExtendedProblem, np.ndarray]]
+    problem: Any,
+    kind: Kind,
+    orbit: Any,
+    at: tuple[np.ndarray, float],
+    nu: float,
+    solutions: Sequence[tuple[ExtendedProblem, np.ndarray]],
 ) -> NormalForm | None:
-    """Return the normal form of a point located on an extended system, None for any other.
+    """Return the normal form of a point, its critical eigenvectors alone where it was located by another way.
 
-    Nor is it computed for many states, which it would take at every harmonic.
+    None for grazing and user points, and for many states, which it would take at every harmonic.
 
     Parameters
     ----------
+    at : (array, float)
+        The point as an unknown of the problem.
+    nu : float
+        Angle of the critical multiplier over 2 pi, NaN where only the kind tells it.
     solutions : sequence of (system, unknown)
         Solutions of rising resolution, the first two at least where there are two.
     """
-    if not solutions or getattr(getattr(problem, "inner", problem), "large", False):
+    if kind in ("grazing", "user") or getattr(getattr(problem, "inner", problem), "large", False):
         return None
+    M = _monodromy(problem, *at)
+    if not solutions:
+        return _vectors_alone(problem, kind, M)
     system, U = solutions[-1]
     if hasattr(getattr(problem, "inner", problem), "half_operator"):
         form = normal_form([(s, V, 0.0) for s, V in solutions])
@@ -72,7 +84,49 @@ def describe(
     else:
         form = by_harmonic_balance(problem, kind, orbit, nu)
     rotation = nu if kind == "neimark-sacker" else np.nan
-    return replace(form, null_vector=null_state(system, U), rotation_number=rotation)
+    v = null_state(system, U)
+    left = np.zeros(0) if kind == "fold" and problem.system.autonomous else left_state(M, SHIFT.get(kind, nu), v)
+    return replace(form, null_vector=v, left_vector=left, rotation_number=rotation)
+
+
+def _monodromy(problem: Any, u: np.ndarray, p: float) -> np.ndarray:
+    """Return the monodromy matrix (n, n) of a point, that of an autonomous System with the flow direction."""
+    inner = getattr(problem, "inner", problem)
+    return np.asarray(inner.monodromies([(problem.split(u) if inner is not problem else u, p)])[0])
+
+
+def left_state(M: np.ndarray, nu: float, v: np.ndarray) -> np.ndarray:
+    """Return the left eigenvector w (n,) of a matrix (n, n) for the eigenvalue next to exp(2 pi i nu), with w* v > 0.
+
+    >>> left_state(np.array([[-1.0, 1.0], [0.0, 0.5]]), 0.5, np.array([1.0, 0.0])).round(6).tolist()
+    [0.83205, -0.5547]
+    """
+    mu, vectors = np.linalg.eig(M.T)
+    w = vectors[:, int(np.argmin(np.abs(mu - np.exp(2j * np.pi * nu))))].conj()
+    turn = np.vdot(w, v)
+    w = w * (turn / abs(turn) if abs(turn) > 0 else 1.0) / np.linalg.norm(w)
+    return np.asarray(w if np.iscomplexobj(v) else w.real)
+
+
+def _vectors_alone(problem: Any, kind: Kind, M: np.ndarray) -> NormalForm | None:
+    """Return a normal form that holds the critical eigenvectors only, as at branch points."""
+    if problem.system.autonomous and kind in ("fold", "branch-point"):
+        return None  # the multiplier 1 of the flow direction is there, too
+    mu, vectors = np.linalg.eig(M)
+    if kind == "neimark-sacker":
+        pairs = np.flatnonzero(mu.imag > 0)
+        i = int(pairs[np.argmin(np.abs(np.abs(mu[pairs]) - 1))])
+    else:
+        i = int(np.argmin(np.abs(mu - np.exp(2j * np.pi * SHIFT.get(kind, 0.0)))))
+    v = vectors[:, i] * (1 / np.linalg.norm(vectors[:, i]))
+    v = v * (abs(v[np.argmax(np.abs(v))]) / v[np.argmax(np.abs(v))])
+    nu = float(np.angle(mu[i]) / (2 * np.pi)) if kind == "neimark-sacker" else SHIFT.get(kind, 0.0)
+    v = v if kind == "neimark-sacker" else v.real
+    form = NormalForm(null_vector=v, left_vector=left_state(M, nu, v))
+    if kind in ("period-doubling", "neimark-sacker"):
+        words = "not computed for a point located without second derivatives"
+        form = replace(form, criticality="undetermined", reason=words)
+    return replace(form, rotation_number=nu) if kind == "neimark-sacker" else form
 
 
 def by_harmonic_balance(problem: Any, kind: Kind, orbit: Any, nu: float) -> NormalForm:

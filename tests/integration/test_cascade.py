@@ -30,34 +30,51 @@ def test_every_method_gives_the_same_cascade(method):
     assert np.all(found.error < 1e-9)
 
 
-def test_both_ends_of_the_doubled_branch_of_the_gear_pair_double_at_one_frequency():
-    """From 1.416 its stable part is met first, from 1.2775 the unstable one and a fold; the former's end counts."""
-    problem = HarmonicBalance().discretise(rs.gear(), "frequency_ratio")
-    parent = trace(problem, problem.guess(frequency_ratio=1.5), (1.5, 1.2))
-    doublings = [q for q in parent.special_points if q.kind == "period-doubling"]
-    found = [cascade(q, (0.9, 1.6), max_period=2) for q in doublings]
-    for start, c in zip(rs.GEAR_DOUBLINGS, found, strict=False):
-        assert c.parameter == pytest.approx([start, 1.1469848870], abs=1e-8)
-    # in the time domain: two periods above, four below, from the doubled orbit itself
+def returns(doubled, orbit, value):
+    """Distances of a stable orbit's state from itself after 1 to 4 excitation periods, settled in the time domain."""
     shooting = Shooting().discretise(rs.gear(), "frequency_ratio", period_multiple=2)
+    x = doubled.solve(orbit, value).evaluate(0.0)[0] * (1 + 1e-4)
+    x = shooting.integration.settle(x, shooting.vector(value), 300)
+    distance, y = [], x
+    for _ in range(4):
+        y = shooting.integration.settle(y, shooting.vector(value), 1)
+        distance.append(float(np.abs(y - x).max()))
+    return distance
+
+
+@pytest.mark.parametrize(
+    ("parent", "spans", "doublings", "following", "shift"),
+    [
+        ((1.5, 1.2), ((1.1, 1.5), (0.9, 1.6)), rs.GEAR_DOUBLINGS[:2], (1.1469848870, 1.1469848870), 0.006),
+        ((0.6, 0.5), ((0.53, 0.6), (0.51, 0.54)), rs.GEAR_DOUBLINGS[2:], (0.5394806294, 0.5215780104), 0.002),
+    ],
+    ids=["upper", "lower"],
+)
+def test_each_of_the_four_doublings_of_the_gear_pair_is_followed(parent, spans, doublings, following, shift):
+    """The next doublings, and the verdicts on both sides of the first one in the time domain.
+
+    The branches of each two are one. From 1.416 its stable part is met first, from 1.2775 the unstable one and a fold,
+    and the end of the stable part counts; from 0.5226, where it is born unstable, the part behind its fold is first.
+    """
+    problem = HarmonicBalance().discretise(rs.gear(), "frequency_ratio")
+    branch = trace(problem, problem.guess(frequency_ratio=parent[0]), parent)
+    points = [q for q in branch.special_points if q.kind == "period-doubling"]
+    found = [cascade(q, span, max_period=2) for q, span in zip(points, spans, strict=True)]
+    for start, then, c in zip(doublings, following, found, strict=True):
+        assert c.parameter == pytest.approx([start, then], abs=1e-8)
     doubled = problem.method.discretise(rs.gear(), "frequency_ratio", period_multiple=2)
     branch = found[0].branches[0]
     last = next(q for q in branch.special_points if q.kind == "period-doubling")
-    for shift, periods in ((0.006, 2), (-0.006, 4)):
-        value = found[0].parameter[1] + shift
+    for side, periods in ((shift, 2), (-shift, 4)):
+        value = following[0] + side
         orbit = min(branch.orbits[: last.index + 3], key=lambda o, value=value: abs(o.value - value))
-        x = doubled.solve(orbit, value).evaluate(0.0)[0] * (1 + 1e-4)
-        x = shooting.integration.settle(x, shooting.vector(value), 300)
-        returns = [x]
-        for _ in range(4):
-            returns.append(shooting.integration.settle(returns[-1], shooting.vector(value), 1))
-        distance = [float(np.abs(r - x).max()) for r in returns]
-        assert distance[periods] < 1e-4
-        assert min(distance[1:periods]) > 1e-3
+        distance = returns(doubled, orbit, value)
+        assert distance[periods - 1] < 1e-4
+        assert min(distance[: periods - 1]) > 1e-3
 
 
 def test_summaries():
-    found = cascade(first_doubling(rs.double_well(), "g", (0.264, 0.267), Shooting()), (0.26, 0.3), max_period=4)
+    found = cascade(first_doubling(rs.double_well(), "g", (0.264, 0.267)), (0.26, 0.3), max_period=4)
     assert "2 -> 4 at g = 0.28669" in str(found)
     assert "ended: orbits of more than 4 periods are not followed" in str(found)
     table = json.loads(json.dumps(found.to_dict()))

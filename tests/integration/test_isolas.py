@@ -19,6 +19,14 @@ def main_branch(force, method=METHOD):
     return problem, trace(problem, problem.guess(omega=SPAN[0]), SPAN)
 
 
+@pytest.fixture(scope="module")
+def detached():
+    """Problem, main branch and isola at a force where the resonance is detached."""
+    problem, main = main_branch(0.015)
+    (isola,) = find_isolas(problem, [main], SPAN, slices=[1.0]).isolas
+    return problem, main, isola
+
+
 def damping(V):
     d1, d3, d5 = rs.DETACHING
     return d1 * V - 0.75 * d3 * V**3 + 0.625 * d5 * V**5
@@ -45,7 +53,7 @@ def test_one_harmonic_has_the_isola_of_the_formula():
     assert folds == pytest.approx(wanted, abs=1e-8)
 
 
-@pytest.mark.parametrize("method", [HarmonicBalance(), Shooting(), Collocation()], ids=repr)
+@pytest.mark.parametrize("method", [HarmonicBalance(), Shooting(), Collocation()], ids=lambda m: type(m).__name__)
 def test_detached_resonance_is_found_by_every_method(method):
     problem, main = main_branch(0.015, method)
     assert main.special_points == ()
@@ -57,10 +65,9 @@ def test_detached_resonance_is_found_by_every_method(method):
     assert isola.unresolved == ()
 
 
-def test_the_isola_attracts_in_time_beside_the_main_branch():
+def test_the_isola_attracts_in_time_beside_the_main_branch(detached):
     """SciPy settles on either, from a state on it or at rest."""
-    problem, main = main_branch(0.015)
-    (isola,) = find_isolas(problem, [main], SPAN, slices=[1.0]).isolas
+    problem, main, isola = detached
     stable = max((o for o in isola.orbits if o.stability == "stable"), key=lambda o: o.rms("x"))
     near = min(main.orbits, key=lambda o: abs(o.value - stable.value))
     rest = problem.solve(near, stable.value)
@@ -115,10 +122,9 @@ def test_folds_tracked_in_the_force_turn_back_where_the_isola_merges():
     assert search.branches == ()
 
 
-def test_an_isola_can_be_started_at_its_fold():
+def test_an_isola_can_be_started_at_its_fold(detached):
     """Where a fold curve comes back to the present value of the second parameter."""
-    problem, main = main_branch(0.015)
-    (isola,) = find_isolas(problem, [main], SPAN, slices=[1.0]).isolas
+    problem, main, isola = detached
     fold = next(q for q in isola.special_points if q.kind == "fold")
     search = _Search(problem, [main], SPAN, None, None, 2000)
     assert search.try_start(problem.unknown(fold.orbit), fold.parameter)

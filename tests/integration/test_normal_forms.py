@@ -190,3 +190,19 @@ def test_folds_have_a_quadratic_coefficient():
 @pytest.mark.parametrize(("nu", "name"), [(0.02, "1:1"), (0.24, "1:4"), (0.3, "1:3"), (0.48, "1:2")])
 def test_nearest_resonance(nu, name):
     assert nearest_resonance(nu)[0] == name
+
+
+def test_left_vectors_and_those_of_a_branch_point(torus):
+    """Against the Jacobian of the stroboscopic map by an integrator of its own."""
+    symmetric = follow(rs.cubic(), "g", (2.5, 2.7))
+    (pitchfork,) = points(symmetric, "branch-point")
+    for system, point in ((rs.absorber(), torus[0]), (rs.cubic(), pitchfork)):
+        M = rs.ExactFlow(system, **{point.orbit.parameter: point.parameter})(point.orbit.evaluate(0.0)[0])[1]
+        nu = point.form.rotation_number
+        mu = np.exp(2j * np.pi * nu) if np.isfinite(nu) else 1.0
+        v, w = point.form.null_vector, point.form.left_vector
+        assert np.abs(M @ v - mu * v).max() < 1e-6
+        assert np.abs(w.conj() @ M - mu * w.conj()).max() < 1e-6
+        assert (np.linalg.norm(v), np.linalg.norm(w)) == pytest.approx((1.0, 1.0))
+        assert np.vdot(w, v).real == pytest.approx(abs(np.vdot(w, v)))
+    assert pitchfork.criticality == ""

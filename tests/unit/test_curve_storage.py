@@ -82,7 +82,7 @@ def test_normal_forms_are_kept(tmp_path, name):
     vector = np.linspace(0.1, 1.0, n)
     forms = {
         "torus": NormalForm(-0.1, 1e-9, "supercritical", "", vector + 1j * vector[::-1], 0.3),
-        "doubling": NormalForm(np.nan, np.nan, "undetermined", "near grazing", vector),
+        "doubling": NormalForm(np.nan, np.nan, "undetermined", "near grazing", vector, left_vector=vector[::-1]),
         "none": None,
     }
     branch = with_form(forms[name])
@@ -94,7 +94,7 @@ def test_normal_forms_are_kept(tmp_path, name):
         return
     mine = branch.special_points[0].form
     assert point.form.null_vector.dtype == mine.null_vector.dtype
-    for part in ("coefficient", "error", "null_vector", "rotation_number"):
+    for part in ("coefficient", "error", "null_vector", "left_vector", "rotation_number"):
         np.testing.assert_array_equal(getattr(point.form, part), getattr(mine, part))
     assert (point.criticality, point.form.reason) == (mine.criticality, mine.reason)
     entry = json.loads(json.dumps(branch.to_dict(), allow_nan=False))["special_points"][0]
