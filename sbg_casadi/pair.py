@@ -112,8 +112,8 @@ def case_names() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> case_names()
-    ('case1', 'case2', 'case3', 'case4', 'example', 'iso-f2')
+    >>> case_names()[:3], case_names()[-2:]
+    (('case1', 'case1-calibrated', 'case2'), ('example', 'iso-f2'))
     """
     return tuple(sorted(path.stem for path in _CASES.glob("*.toml")))
 
@@ -134,9 +134,9 @@ def load_pair(name_or_path: str | os.PathLike[str]) -> Pair:
     name = os.fspath(name_or_path)
     if name in case_names():
         place, path = f"built-in case {name!r}", _CASES / f"{name}.toml"
-        return _build(_parse(path.read_bytes(), place), place, _CASES)
+        return build_pair(_parse(path.read_bytes(), place), place, _CASES)
     place, data = f"pair file {name!r}", _read(name)
-    return _build(_parse(data, place), place, Path(name).parent)
+    return build_pair(_parse(data, place), place, Path(name).parent)
 
 
 def _read(name: str) -> bytes:
@@ -180,7 +180,29 @@ def _parse(data: bytes, place: str) -> dict[str, Any]:
     return raw
 
 
-def _build(raw: dict[str, Any], place: str, folder: Path) -> Pair:
+def folder_of(name_or_path: str | os.PathLike[str]) -> Path:
+    """Return the folder that the paths inside a built-in case or pair file are relative to."""
+    name = os.fspath(name_or_path)
+    return _CASES if name in case_names() else Path(name).parent
+
+
+def build_pair(raw: dict[str, Any], place: str, folder: Path) -> Pair:
+    """Return the pair of a parsed pair file.
+
+    Parameters
+    ----------
+    raw : dict
+        What ``tomllib`` makes of the file.
+    place : str
+        Beginning of every message, names the file.
+    folder : Path
+        What paths in it are relative to.
+
+    Raises
+    ------
+    PairError
+        With one sentence that names the key, its value and what was expected.
+    """
     tables = read_file(raw, place)
     for state in tables.states:
         if fault := name_fault(state):

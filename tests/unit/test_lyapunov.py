@@ -45,6 +45,16 @@ def test_complex_multipliers_mean_the_damping(integrator):
     assert found.verdict == "not chaotic"
 
 
+@pytest.mark.parametrize(
+    ("omega", "state"), [(0.6, (1.1278799613, 0.0015682478)), (0.75, (1.1624504362, 0.0080293418))], ids=["0.6", "low"]
+)
+def test_without_contact_loss_the_exponents_are_the_damping(omega, state):
+    found = lyapunov_spectrum(backlash(), state, periods=128, transient=0, omega=omega)
+    assert np.all(abs(found.exponents + 0.05) < 3 * found.errors)
+    assert found.errors.max() < 0.01
+    assert found.total == pytest.approx(-0.1, abs=1e-7)
+
+
 def test_fewer_exponents_are_the_largest_ones():
     all_, one = (lyapunov_spectrum(lorenz(), [1.0, 1.0, 20.0], periods=300, count=k) for k in (3, 1))
     assert one.exponents.shape == (1,)

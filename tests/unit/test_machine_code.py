@@ -90,9 +90,9 @@ def test_processes_may_compile_the_same_at_once(cache):
     def run(_):
         return subprocess.run([sys.executable, "-c", RACE], check=True, capture_output=True, text=True).stdout
 
-    with ThreadPoolExecutor(3) as pool:
-        said = list(pool.map(run, range(3)))
-    assert said == ["2.718281828459045 True\n"] * 3
+    with ThreadPoolExecutor(2) as pool:
+        said = list(pool.map(run, range(2)))
+    assert said == ["2.718281828459045 True\n"] * 2
     assert len(libraries(cache)) == len(list(cache.iterdir())) == 1  # nothing half made is left
 
 

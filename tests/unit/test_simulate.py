@@ -31,6 +31,18 @@ def test_the_high_orbit_of_the_backlash_oscillator(integrator, span):
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
+@pytest.mark.parametrize("phases", [[], [0.0], [3.0], np.pi * np.arange(300) / 150 + 1e-9])
+def test_contact_changes_do_not_depend_on_the_phases_asked_for(integrator, phases):
+    few, many = (simulate(backlash(), HIGH, 2.3, integrator=integrator, omega=0.75, phases=p) for p in (phases, None))
+    assert few.phases[:-1] == pytest.approx(np.array([p + 2 * np.pi * k for k in range(3) for p in phases
+                                                      if p + 2 * np.pi * k < 2 * np.pi * 2.3]))  # fmt: skip
+    assert few.end == pytest.approx(many.end, abs=1e-8)
+    assert np.array_equal(few.changes[:, 1:], many.changes[:, 1:])
+    assert abs(few.changes[:, 0] - many.changes[:, 0]).max() < 1e-6
+    assert len(few.intervals()) == 6
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS, ids=lambda i: type(i).__name__)
 def test_chosen_phases(integrator):
     every = simulate(duffing(), [1.0, 0.5], 1.6, integrator=INTEGRATORS[1], omega=1.1)
     run = simulate(
@@ -67,7 +79,33 @@ def test_failures_are_named(integrator):
         simulate(system, [0.0], 3, integrator=integrator)
 
 
+def test_derivatives_over_contact_changes():
+    """The monodromy matrix of the high orbit: multipliers 0.43845790 +- 0.49034086i, determinant exp(-2 zeta T)."""
+    run = simulate(backlash(), HIGH, 1, derivatives=True, omega=0.75)
+    multipliers = np.linalg.eigvals(run.tangent)
+    assert sorted(multipliers, key=np.imag)[1] == pytest.approx(0.43845790 + 0.49034086j, abs=2e-7)
+    assert np.linalg.det(run.tangent) == pytest.approx(np.exp(-0.1 * 2 * np.pi / 0.75), abs=1e-10)
+    assert set(run.sensitivities) == set(run.parameters)
+    step = 1e-5
+    for name, found in run.sensitivities.items():
+        ends = [simulate(backlash(), HIGH, 1, **{**run.parameters, name: run.parameters[name] + d}).end
+                for d in (-step, step)]  # fmt: skip
+        assert found == pytest.approx((ends[1] - ends[0]) / 2 / step, abs=2e-6)
+    assert simulate(backlash(), HIGH, 1, omega=0.75).tangent.shape == (0, 0)
+
+
+def test_derivatives_of_an_autonomous_system():
+    """Decay x' = -a x to time 1.5: dx/dx0 = exp(-1.5 a), dx/da = -1.5 x."""
+    x, a = symbols("x", "a")
+    decay = System(name="decay", states={"x": x}, derivatives={"x": -a * x}, parameters={"a": (a, 0.4)})
+    run = simulate(decay, [2.0], 1.5, derivatives=True)
+    assert run.tangent[0, 0] == pytest.approx(np.exp(-0.6), abs=1e-9)
+    assert run.sensitivities["a"] == pytest.approx([-1.5 * 2 * np.exp(-0.6)], abs=1e-8)
+
+
 def test_misuse_is_refused():
+    with pytest.raises(ValueError, match="derivatives come with EventExact"):
+        simulate(duffing(), [1.0, 0.0], 1, integrator=FixedStep(), derivatives=True)
     for arguments, message in (
         (([1.0], 1), "2 finite states"),
         (([np.nan, 0.0], 1), "2 finite states"),
