@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sbg_casadi.derived import Derived
     from sbg_casadi.dimensionless import Dimensionless
     from sbg_casadi.errors import PairError, UserError
+    from sbg_casadi.identification import identify
     from sbg_casadi.model import gear_system, static_state
     from sbg_casadi.pair import Pair, case_names, load_pair
 
@@ -24,6 +25,7 @@ _HOME = {
     "UserError": "errors",
     "case_names": "pair",
     "gear_system": "model",
+    "identify": "identification",
     "load_pair": "pair",
     "static_state": "model",
 }
@@ -36,6 +38,7 @@ __all__ = [
     "UserError",
     "case_names",
     "gear_system",
+    "identify",
     "load_pair",
     "static_state",
 ]

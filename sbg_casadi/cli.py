@@ -345,6 +345,60 @@ def map_(
 
 
 @app.command()
+def identify(
+    pair: PairArgument,
+    targets: Annotated[
+        str, typer.Argument(metavar="TARGETS", help="A TOML file of unknowns and targets, or case1 to case4.")
+    ],
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the search; the same one gives the same values.")] = 0,
+    evaluations: Annotated[int, typer.Option(metavar="N", help="Candidates of the global search.")] = 1000,
+    refined: Annotated[int, typer.Option(metavar="N", help="Best candidates that are refined by gradients.")] = 2,
+    state: Annotated[str | None, typer.Option("--state", metavar="NAME", help="Targets of one state alone.")] = None,
+    unknowns: Annotated[
+        str | None, typer.Option(metavar="PATTERN", help="Unknowns alone whose keys fit, such as 'states.after.*'.")
+    ] = None,
+    near: Annotated[
+        float | None, typer.Option(metavar="SHARE", help="Begin the search near the values that the pair has.")
+    ] = None,
+    json_file: JsonOption = None,
+    out: OutOption = None,
+) -> None:
+    """Find unknown stiffness, damping, angles ... of a pair from measured responses; writes a pair file."""
+    with guarded():
+        from sbg_casadi.identification.outcome import Settings
+        from sbg_casadi.identification.run import run_identify
+
+        settings = Settings(seed, evaluations, refined, near=near)
+        code = run_identify(
+            pair,
+            targets,
+            settings=settings,
+            state=state,
+            unknowns=unknowns,
+            out=out,
+            json_file=json_file,
+            console=new_console(),
+        )
+        raise typer.Exit(code)
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the results.")],
+    case: Annotated[
+        int | None, typer.Option("--case", metavar="N", help="One case of the paper, 1 to 4; default: all four.")
+    ] = None,
+    points: Annotated[int, typer.Option(metavar="N", help="Frequencies of every sweep.")] = 116,
+    json_file: JsonOption = None,
+) -> None:
+    """Redo the paper: every figure, table and sentence with a verdict, on one page. Resumes."""
+    with guarded():
+        from sbg_casadi.paper.command import run_paper
+
+        raise typer.Exit(run_paper(case=case, out=out, points=points, json_file=json_file, console=new_console()))
+
+
+@app.command()
 def ledger(json_file: JsonOption = None) -> None:
     """Print the misprints and gaps of the source, what is used instead, and what each changes."""
     with guarded():
