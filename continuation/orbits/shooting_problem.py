@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from continuation.errors import ContinuationError
 from continuation.model.system import System
 from continuation.orbits.monodromy_form import critical_form, critical_matrix
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.sampled import sampled_orbit
 from continuation.orbits.shifted import CriticalForm
 from continuation.orbits.shooting_estimate import Estimate, crossing_error, estimate
+from continuation.orbits.start import check_determined, check_value
 
 _REMEMBERED = 1024  # error estimates kept
 _KEPT = 4  # paths kept, the normal and the tight one of the last points among them
@@ -69,7 +69,7 @@ class ShootingProblem:
         full[self._index] = p
         if not full[self._frequency] > 0:
             name = self.system.frequency
-            raise ContinuationError(f"frequency {name!r} must stay positive, got {full[self._frequency]:g}")
+            raise ValueError(f"frequency {name!r}: expected a positive number, got {full[self._frequency]:g}")
         return full
 
     def set_value(self, name: str, value: float) -> None:
@@ -314,7 +314,9 @@ class ShootingProblem:
     def guess(self, **values: float) -> Orbit:
         """Find a first orbit; see :func:`~continuation.orbits.shooting_start.first_state`."""
         u, p = self.first_state(**values)
-        return self.orbits([(u, p, self.error(u, p))])[0]
+        error = self.error(u, p)
+        check_determined(self, p, error, float(np.abs(self.states(u)).max()))
+        return self.orbits([(u, p, error)])[0]
 
     def first_state(self, **values: float) -> tuple[np.ndarray, float]:
         """Return unknown and parameter of a first orbit; see :mod:`continuation.orbits.shooting_start`."""
@@ -347,5 +349,8 @@ class ShootingProblem:
         """
         from continuation.orbits.shooting_start import corrected
 
+        check_value(self, value)
         u = corrected(self, orbit, value)
-        return self.orbits([(u, value, self.error(u, value))])[0]
+        error = self.error(u, value)
+        check_determined(self, value, error, float(np.abs(self.states(u)).max()))
+        return self.orbits([(u, value, error)])[0]

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from continuation.errors import ContinuationError, NoConvergence, RestingContact, nearest
+from continuation.errors import ContinuationError, NoConvergence, RestingContact
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.shooting_estimate import shortest
+from continuation.orbits.start import begin_at, starting_values
 from continuation.timedomain.exact import describe
 
 _SETTLING_PERIODS = (50, 100, 200)  # integrated before each attempt of Newton's method
@@ -43,7 +44,8 @@ def first_state(problem: Any, values: dict[str, float]) -> tuple[np.ndarray, flo
     ValueError
         For an unknown name, or a parameter that is fixed along the branch.
     """
-    x, p = _read(problem, values)
+    p, given = starting_values(problem, values)
+    x = begin_at(problem, np.zeros(len(problem.system.state_names)), given)
     history = [np.inf]
     for periods in _SETTLING_PERIODS:
         x = problem.integration.settle(x, problem.vector(p), periods)
@@ -57,25 +59,6 @@ def first_state(problem: Any, values: dict[str, float]) -> tuple[np.ndarray, flo
         history,
         p,
     )
-
-
-def _read(problem: Any, values: dict[str, float]) -> tuple[np.ndarray, float]:
-    system = problem.system
-    x, p = np.zeros(len(system.state_names)), problem.values[problem.parameter]
-    for name, value in values.items():
-        if name == problem.parameter:
-            p = float(value)
-        elif name in system.state_names:
-            x[system.state_names.index(name)] = value
-        elif name not in system.parameter_names:
-            known = [problem.parameter, *system.state_names]
-            raise ValueError(f"guess: no parameter or state {name!r}; {nearest(name, known)}")
-        elif value != problem.values[name]:
-            raise ValueError(
-                f"guess: parameter {name!r} is fixed along this branch; give it to discretise, "
-                f"expected only {problem.parameter!r} and states here"
-            )
-    return x, p
 
 
 def corrected(problem: Any, orbit: Orbit, value: float) -> np.ndarray:

@@ -24,19 +24,8 @@ _HARMONICS = 15
 
 def find_orbit(problem: Any, values: dict[str, float]) -> Orbit:
     """Return an orbit at the given parameter values; see ``HarmonicBalanceProblem.guess``."""
-    system = problem.system
-    for name in values:
-        system.check_parameter(name)
-    fixed = {k: v for k, v in values.items() if k != problem.parameter}
-    wrong = [k for k, v in fixed.items() if v != problem.values[k]]
-    if wrong:
-        raise ValueError(
-            f"parameter {wrong[0]!r} is fixed at {problem.values[wrong[0]]} in this problem; "
-            f"give it to discretise(..., {wrong[0]}={fixed[wrong[0]]}) instead"
-        )
-    p = float(values.get(problem.parameter, problem.values[problem.parameter]))
-    problem.frequency(p)  # must be positive
-    state = problem.ports.rest
+    p, given = starting_values(problem, values)
+    state = begin_at(problem, problem.ports.rest, given)
     failures: list[NoConvergence] = []
     for periods, widths in zip(_PERIODS, _WIDTHS, strict=True):
         waves, state = _integrate(problem, p, state, periods)
@@ -54,6 +43,61 @@ def find_orbit(problem: Any, values: dict[str, float]) -> Orbit:
         failures[-1].history if failures else (),
         p,
     )
+
+
+def starting_values(problem: Any, values: dict[str, float]) -> tuple[float, dict[str, float]]:
+    """Return the value of the continuation parameter and the states given; other parameters must be the problem's.
+
+    Raises
+    ------
+    ValueError
+        For an unknown name, what is no number, or another value of a parameter that is fixed in this problem.
+    """
+    numbers: dict[str, float] = {}
+    for name, value in values.items():
+        try:
+            numbers[name] = float(value)
+        except (TypeError, ValueError):
+            raise ValueError(f"guess: {name}: expected a number, got {value!r}") from None
+    given = {k: v for k, v in numbers.items() if k in problem.system.state_names}
+    for name, value in numbers.items():
+        if name in given or problem.system.check_parameter(name) == problem.parameter:
+            continue
+        if value != problem.values[name]:
+            raise ValueError(
+                f"parameter {name!r} is fixed at {problem.values[name]} in this problem; "
+                f"give it to discretise(..., {name}={value}) instead"
+            )
+    p = numbers.get(problem.parameter, problem.values[problem.parameter])
+    problem.frequency(p)  # must be positive
+    return p, given
+
+
+def begin_at(problem: Any, state: np.ndarray, given: dict[str, float]) -> np.ndarray:
+    """Return the state with the given ones put in."""
+    state = np.array(state, dtype=float)
+    for name, value in given.items():
+        state[problem.system.state_names.index(name)] = value
+    return state
+
+
+def check_value(problem: Any, value: float) -> None:
+    """Raise ValueError for a value of the continuation parameter that no orbit can have."""
+    if not np.isfinite(value):
+        raise ValueError(f"expected a finite value of {problem.parameter!r}, got {value}")
+    if problem.parameter == problem.system.frequency:
+        problem.frequency(value)  # must be positive
+
+
+def check_determined(problem: Any, p: float, error: float, size: float) -> None:
+    """Raise NoConvergence for an orbit whose error is larger than itself: the equations do not determine one."""
+    if error > max(size, 1e-6):
+        raise NoConvergence(
+            f"no periodic orbit is determined at {problem.parameter} = {p:g}: the equations are singular to rounding "
+            f"there, and what solves them is uncertain by {error:.1e}; at a resonance without damping there is none, "
+            "in a family of orbits of one period any will do: add damping or go to another parameter value",
+            parameter=p,
+        )
 
 
 def correct_at(problem: Any, u: np.ndarray, p: float) -> Orbit:
@@ -92,6 +136,7 @@ def solve_from(problem: Any, orbit: Orbit, value: float) -> Orbit:
     NoConvergence
         With the parameter value, the residual history and the orbit it started from.
     """
+    check_value(problem, value)
     try:
         return correct_at(problem, problem.unknown(orbit), value)
     except NoConvergence as failure:

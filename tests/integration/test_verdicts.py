@@ -258,7 +258,7 @@ def test_numbers_that_are_none_are_undecided_and_crash_nothing():
     assert verdict(np.array([np.inf]), np.array([np.inf])) == "undecided"
     assert np.all(np.isinf(distance(np.array([nan, 1.0]), np.array([1.0, 1.0]))))
     broken = np.array([np.eye(2), np.full((2, 2), nan), [[1.0, 1.0], [0.0, 1.0]]])
-    values, reach = conditioned(broken)
+    values, reach, _ = conditioned(broken)
     assert np.isnan(values[1]).all()
     assert np.isinf(reach[1]).all()
     assert np.all(reach[2] > 1e8)  # a Jordan block
