@@ -60,8 +60,10 @@ def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
 
 
 def _left_out(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the harmonics left out (n, k), what the balance of those kept (H+1, k)
-    lacks, by what those left out add and by Newton's remainder, and the port load."""
+    """Return the harmonics left out (n, k), what the balance of those kept lacks (H+1, k), and the port load.
+
+    It lacks what those left out add, and the residual that Newton's method has left.
+    """
     k = problem.ports.outputs
     Y = unpack(u, k)
     H = len(Y) - 1

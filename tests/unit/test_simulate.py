@@ -1,8 +1,11 @@
 """One interface to all integrators: the same trajectory, contact changes and outputs, driven or autonomous."""
 
+import casadi as ca
 import numpy as np
 import pytest
+from general_contacts import hertz
 from reference_systems import backlash, duffing, symbols
+from scipy.integrate import solve_ivp
 
 from continuation import CVODES, Contact, ContinuationError, System
 from continuation.errors import IntegrationFailed
@@ -122,3 +125,17 @@ def test_misuse_is_refused():
     with pytest.raises(ValueError, match="rtol must be positive"):
         EventExact(rtol=0.0)
     assert issubclass(IntegrationFailed, ContinuationError)
+
+
+@pytest.mark.parametrize("integrator", [EventExact(), FixedStep(512)], ids=lambda i: type(i).__name__)
+def test_a_power_of_a_contact_force_is_integrated_through_the_end_of_contact(integrator):
+    """Beyond the end of contact the 3/2 power has no value, but a step looks there before it lands."""
+    system = hertz()
+    begin, periods = np.zeros(len(system.state_names)), 5.3
+    run = simulate(system, begin, periods, integrator=integrator)
+    f = ca.Function("f", [system.x, system.theta, system.p], [system.closed()])
+    p, omega = system.parameter_vector(), system.defaults["omega"]
+    end = 2 * np.pi * periods / omega
+    exact = solve_ivp(lambda t, z: f(z, omega * t, p).full().ravel(), (0, end), begin, "DOP853", rtol=1e-11, atol=1e-12)
+    assert len(run.changes) > 4
+    assert run.end == pytest.approx(exact.y[:, -1], abs=1e-6)
