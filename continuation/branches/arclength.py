@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
@@ -161,7 +162,8 @@ def _corrected(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
         return correct(problem, (u, p), (np.zeros_like(u), 1.0), metric, iterations=30)
     except NoConvergence as failure:
         _, J, Fp = problem.linearise(u, p)
-        null = null_direction(J * metric.size, Fp * metric.span)
+        scaled = J * metric.size if sp.issparse(J) else np.asarray(J) * metric.size
+        null = null_direction(scaled, Fp * metric.span)
         node = correct(problem, (u, p), (null[:-1] * metric.size, null[-1] * metric.span), metric, iterations=30)
         if abs(node.p - p) > 1e-3 * metric.span:
             raise failure

@@ -18,10 +18,12 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from continuation.branches.bordered import bordered_factors
 from continuation.branches.branch import Kind
 from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.branches.sparse_bordered import solve_bordered
 from continuation.errors import NoConvergence, UnsupportedModel
+from continuation.orbits.split_operator import SplitMatrix
 
 SHIFT: dict[Kind, float] = {"fold": 0.0, "period-doubling": 0.5}
 
@@ -42,6 +44,11 @@ def nearest_null(M: np.ndarray, steps: int = 3) -> tuple[np.ndarray, np.ndarray]
     [[0.0, 1.0], [0.707107, 0.707107]]
     """
     N = len(M)
+    if isinstance(M, SplitMatrix):  # that of the low harmonics is near enough
+        low = nearest_null(M.inner.block, steps)
+        v, w = np.zeros((2, N))
+        v[M.inner.kept], w[M.inner.kept] = low
+        return v, w
     scale = float(np.abs(M).max()) or 1.0
     lu, pivots, info = (sl.lapack.zgetrf if np.iscomplexobj(M) else sl.lapack.dgetrf)(M)
     if info < 0 or not np.isfinite(lu).all():
@@ -67,16 +74,12 @@ def bordered(M: np.ndarray, b: np.ndarray, c: np.ndarray) -> Null:
         If the bordered matrix is singular: the null space has more than one dimension.
     """
     N = len(M)
-    whole = np.empty((N + 1, N + 1), dtype=np.result_type(M, b), order="F")
-    whole[:N, :N], whole[:N, N], whole[N, :N], whole[N, N] = M, b, c.conj(), 0.0
-    unit = np.zeros(N + 1, dtype=whole.dtype)
-    unit[N] = 1.0
-    cplx = np.iscomplexobj(whole)
-    lu, pivots, info = (sl.lapack.zgetrf if cplx else sl.lapack.dgetrf)(whole, overwrite_a=True)
-    if info != 0:
+    factors = bordered_factors(M, b, np.append(c.conj(), 0.0))
+    if factors is None:
         raise NoConvergence("more than one multiplier is critical here")
-    solve = sl.lapack.zgetrs if cplx else sl.lapack.dgetrs
-    right, left = solve(lu, pivots, unit)[0], solve(lu, pivots, unit, trans=2 if cplx else 1)[0]
+    unit = np.zeros(N + 1, dtype=np.result_type(b, c))
+    unit[N] = 1.0
+    right, left = factors.solve(unit), factors.solve(unit, transposed=True)
     return Null(right[N].item(), right[:N], left[:N])
 
 
@@ -165,6 +168,8 @@ class ExtendedProblem:
         corner = np.array(columns).reshape(self.extra, self.extra).T
         if sp.issparse(J):
             matrix: Any = sp.csc_array(sp.block_array([[J, right], [gradient, corner]]))
+        elif isinstance(J, SplitMatrix):
+            matrix = J.bordered(right, gradient, corner)
         else:
             matrix = np.block([[J, right], [gradient, corner]])
         return np.append(F, g), matrix, Fq
@@ -208,7 +213,8 @@ class ExtendedProblem:
             found = solve_bordered(J, Fp, row, unit)
             t = None if found is None else found[0][:, 0]
         else:
-            t = _solved(np.block([[J, Fp[:, None]], [row]]), unit[:, 0])
+            factors = bordered_factors(J, Fp, row)
+            t = None if factors is None else factors.solve(unit)[:, 0]
         if t is None:
             raise NoConvergence("the Jacobian is singular in orbit and parameter together")
         size = metric.length(t[:-1], float(t[-1]))
@@ -245,14 +251,6 @@ class ExtendedProblem:
         u, p, _ = self.split(U)
         finer = self.at(q).refined(u, p)
         return None if finer is None else np.append(finer, U[-self.extra :])
-
-
-def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray | None:
-    """Return the solution of a linear system, None where it is exactly singular."""
-    try:
-        return np.linalg.solve(matrix, right)
-    except np.linalg.LinAlgError:
-        return None
 
 
 def extended(problem: Any, kind: Kind, u: np.ndarray, p: float, second: str | None = None) -> ExtendedProblem:

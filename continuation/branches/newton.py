@@ -6,14 +6,18 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import scipy.linalg as sl
 import scipy.sparse as sp
 
+from continuation.branches.bordered import Factors, bordered_factors
 from continuation.branches.sparse_bordered import solve_bordered
 from continuation.errors import IntegrationFailed, NoConvergence, UnsupportedModel
 
 _STEP = 1e-8  # a step below this (relative) is the last: convergence is quadratic
+_LINEAR = 1e-11  # accuracy of the linear equations where they are solved by iteration: that of a step and a tangent
 _HALVINGS = 6
+_NEAR = 1e6  # accuracies up to which a first step may be followed by a chord step
+_RATE = 0.02  # largest ratio of both
+_PART = 1.0  # of the accuracy that a chord step may leave
 _LONGEST_CYCLE = 4  # iterates that are looked at for a return to an earlier one
 _ESCAPES = 3  # cycles that are left by their mean before Newton's method gives up
 _SINGULAR = (
@@ -48,18 +52,6 @@ def size_of(u: np.ndarray) -> float:
 
 UNUSABLE = (ValueError, np.linalg.LinAlgError, UnsupportedModel, IntegrationFailed)
 """What a model raises where it has no value."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Factors:
-    """LU factors of the matrix of a Newton step, bordered by the parameter column and a row: (N+1, N+1)."""
-
-    lu: np.ndarray
-    pivots: np.ndarray
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """Return the solution (N+1, K) for right-hand sides (N+1, K), which are overwritten where LAPACK can."""
-        return np.asarray(sl.lapack.dgetrs(self.lu, self.pivots, right, overwrite_b=True)[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +141,10 @@ def correct(
             if keep is not None and factors is not None:  # the error estimate of the point solves with the same matrix
                 keep(factors)
             return Node(u + du, p + dp, tu / norm, tp / norm, sign, count)
+        if count == 1 and factors is not None:
+            node = _finished(problem, (u + du, p + dp), factors, tangent, metric, size, accuracy * scale)
+            if node is not None:
+                return node
         before.append((u, p))
         u, p, F, J, Fp = _damped(problem, (u, p), (du, dp), history)
         if cycle := _cycle(before, (u, p), metric, size):
@@ -160,6 +156,37 @@ def correct(
         if count > 6 and size > 10 * best:
             break
     raise NoConvergence(f"Newton's method did not converge in {len(history)} steps", history, p)
+
+
+def _finished(
+    problem: Problem,
+    at: tuple[np.ndarray, float],
+    factors: Factors,
+    tangent: np.ndarray,
+    metric: Metric,
+    size: float,
+    accuracy: float,
+) -> Node | None:
+    """Return the node that one chord step with the factors of the first step reaches, None where that is not enough.
+
+    The rate of chord steps is about twice that of the sizes of both steps, which bounds what is left.
+    """
+    finish = getattr(problem, "finish", None)
+    if finish is None or size > _NEAR * accuracy:
+        return None
+    try:
+        found = finish(*at, factors, tangent)
+    except UNUSABLE:  # the model ends here: damping is called for
+        return None
+    if found is None:
+        return None
+    step, t, keep = found
+    chord = metric.length(step[:-1], float(step[-1]))
+    if not (chord < _RATE * size and 10 * chord**2 / size < _PART * accuracy):
+        return None
+    keep()
+    norm = metric.length(t[:-1], float(t[-1]))
+    return Node(at[0] + step[:-1], at[1] + float(step[-1]), t[:-1] / norm, float(t[-1]) / norm, factors.sign, 2)
 
 
 def _linearise(problem: Problem, u: np.ndarray, p: float, history: list[float]) -> Any:
@@ -214,18 +241,13 @@ def _solve(
     n = len(F)
     if sp.issparse(J):
         return *_solve_sparse(J, Fp, F, border, history, p), None
-    matrix = np.empty((n + 1, n + 1), order="F")
-    matrix[:n, :n], matrix[:n, n], matrix[n] = J, Fp, border
     right = np.zeros((n + 1, 2), order="F")
     right[:n, 0], right[n, 1] = -F, 1.0
-    lu, pivots, info = sl.lapack.dgetrf(matrix, overwrite_a=True)
-    if info != 0:
+    factors = bordered_factors(J, Fp, border)
+    if factors is None:
         raise NoConvergence(_SINGULAR, history, p)
-    factors = Factors(lu, pivots)
-    solution = factors.solve(right)
-    swaps = int(np.count_nonzero(pivots != np.arange(n + 1)))
-    sign = float(np.prod(np.sign(np.diag(lu)))) * (-1.0) ** swaps
-    return solution[:, 0], solution[:, 1], sign, factors
+    solution = factors.solve(right, accuracy=_LINEAR)
+    return solution[:, 0], solution[:, 1], factors.sign, factors
 
 
 def _solve_sparse(

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from continuation.branches.bordered import lu_of
 from continuation.branches.extended import ExtendedProblem
 from continuation.branches.newton import size_of
 from continuation.errors import UnsupportedModel
@@ -31,6 +32,7 @@ from continuation.orbits import contact_series as series
 from continuation.orbits.curvature import Curvature
 from continuation.orbits.shifted import ShiftedOperator, Wave, as_vector, as_wave, receptances, states
 from continuation.orbits.spectrum import unpack
+from continuation.orbits.split_operator import SplitMatrix
 
 _TAIL = 1024  # harmonics up to which answers to contact changes are summed, and at least twice the ones of the orbit
 
@@ -174,7 +176,7 @@ class _Responses:
         J = self.outer.linearise(self.U, self.p)[1]
         right = np.zeros(len(self.U))
         right[: len(self.u)] = as_vector(Wave(0.0, own, True))
-        found = sp.linalg.spsolve(J, right) if sp.issparse(J) else np.linalg.solve(J, right)
+        found = _solved(J, right)
         driven[middle - H : middle + H + 1] = as_wave(found[: len(self.u)], k, 0.0).amplitudes
         pull = 0.0
         if len(found) > len(self.u):  # the last entry is the scaled logarithm of the frequency
@@ -206,3 +208,13 @@ class _Responses:
         load = self.curvature.quadratic(a, b, orders)
         transfer, _ = receptances(self.problem, self.p, orders)
         return np.asarray((transfer @ load[..., None])[..., 0])
+
+
+def _solved(J: Any, right: np.ndarray) -> np.ndarray:
+    """Return the solution (N,) for a Jacobian, dense, sparse or split."""
+    if sp.issparse(J):
+        return np.asarray(sp.linalg.spsolve(J, right))
+    factors = J.factors() if isinstance(J, SplitMatrix) else lu_of(np.array(J, order="F"))
+    if factors is None:
+        raise np.linalg.LinAlgError("the Jacobian is singular")
+    return factors.solve(right)

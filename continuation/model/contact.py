@@ -31,6 +31,8 @@ class Contact:
     ----------
     force : casadi.SX
         Symbol that stands for the force in the derivatives of a :class:`~continuation.System`.
+    intercepts : array (m + 1,)
+        Force = slope * argument + intercept in each mode.
 
     Raises
     ------
@@ -51,6 +53,7 @@ class Contact:
     slopes: tuple[float, ...]
     name: str = "contact"
     force: ca.SX = field(init=False, repr=False)
+    intercepts: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         b = tuple(float(v) for v in self.breakpoints)
@@ -63,15 +66,12 @@ class Contact:
             raise ValueError(f"contact {self.name!r}: breakpoints must be finite and strictly increasing, got {b}")
         object.__setattr__(self, "breakpoints", b)
         object.__setattr__(self, "slopes", s)
+        c = np.concatenate([[0.0], np.cumsum(-np.diff(s) * np.array(b))])
+        c = c - c[self.mode(0.0)]
+        c.flags.writeable = False
+        object.__setattr__(self, "intercepts", c)
         symbol = type(self.argument).sym(f"{self.name}_force_{next(_serial)}")
         object.__setattr__(self, "force", symbol)
-
-    @property
-    def intercepts(self) -> np.ndarray:
-        """Force = slope * argument + intercept in each mode, shape (m + 1,)."""
-        b, s = np.array(self.breakpoints), np.array(self.slopes)
-        c = np.concatenate([[0.0], np.cumsum((s[:-1] - s[1:]) * b)])
-        return c - c[self.mode(0.0)]
 
     def mode(self, argument: Any) -> Any:
         """Return the index of the linear piece each argument lies in."""

@@ -48,8 +48,9 @@ class Forcing:
         """Offsets of the contact arguments."""
         return self._both[1]
 
+    @cached_property
     def order(self) -> int:
-        """Return the highest harmonic that carries more than 1e-8 of the largest of its row."""
+        """Highest harmonic that carries more than 1e-8 of the largest of its row."""
         return max(_order(rows) for rows in (self.u.T, self.gain.reshape(-1, self.gain.shape[-1]), self.offset))
 
 
@@ -90,13 +91,17 @@ class Excitation:
         self._drive = _Periodic(system, theta, p, drive)
         self._contacts = _Periodic(system, theta, p, ca.vertcat(ca.vec(gains), offset))
         self._changes: dict[int, tuple[_Periodic, _Periodic]] = {}
-        self._last: tuple[np.ndarray, Forcing] | None = None
+        self._last: tuple[np.ndarray, bytes, Forcing] | None = None
 
     def __call__(self, p: np.ndarray) -> Forcing:
         """Return the coefficients at the parameters p (q,), which must not be changed afterwards."""
-        if self._last is None or self._last[0] is not p:  # the same array object is the common case
-            self._last = p, self._forcing(self._drive, self._contacts, p)
-        return self._last[1]
+        if self._last is not None and self._last[0] is p:  # the same array object is the common case
+            return self._last[2]
+        tag = self._drive.tag(p) + self._contacts.tag(p)
+        same = self._last is not None and self._last[1] == tag
+        forcing = self._last[2] if same and self._last is not None else self._forcing(self._drive, self._contacts, p)
+        self._last = p, tag, forcing
+        return forcing
 
     def at(self, theta: float, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate forcing (n,), gains (contacts, m) and offsets (contacts,) at one phase."""
@@ -149,13 +154,17 @@ class _Periodic:
         self._known: dict[bytes, np.ndarray] = {}
 
     def __call__(self, p: np.ndarray) -> np.ndarray:
-        tag = p[self._depends].tobytes()
+        tag = self.tag(p)
         if tag not in self._known:
             if len(self._known) >= _KEPT:
                 self._known.pop(next(iter(self._known)))
             zero = np.zeros((self.rows.numel(), 1), dtype=complex)
             self._known[tag] = zero if self._zero else fourier(lambda theta: self.values(theta, p), self._name)
         return self._known[tag]
+
+    def tag(self, p: np.ndarray) -> bytes:
+        """Return what tells parameters apart that the expressions depend on."""
+        return p[self._depends].tobytes()
 
     def values(self, theta: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Evaluate the rows (r, N) at phases (N,)."""

@@ -369,7 +369,7 @@ class Ports:
 
     def forced_order(self, p: np.ndarray) -> int:
         """Return the highest harmonic of forcing, gains and offsets that carries more than 1e-8 of its largest."""
-        return self.forcing(p).order()
+        return self.forcing(p).order
 
     @cached_property
     def law_order(self) -> int:

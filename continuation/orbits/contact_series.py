@@ -14,6 +14,7 @@ import numpy as np
 from continuation.model.contact import Contact
 
 _ROUNDING = 1e-15  # of an argument, relative to the sum of its amplitudes and its level
+_NONE = np.zeros(0)
 _CLOSE = 1e-3  # distance between roots that are looked at for rounding between them, rad
 
 
@@ -68,30 +69,34 @@ def find_patterns(arguments: np.ndarray, contact: Contact) -> list[ContactPatter
     values[:, :count] = np.fft.irfft(arguments, count, axis=1, norm="forward")
     values[:, count] = values[:, 0]
     brackets = _brackets(arguments, values, np.array(contact.breakpoints))
+    if brackets is None:
+        return [ContactPattern(_NONE, mode[None]) for mode in contact.mode(values[:, 0])]
     owner, phases, _, _, right, level = brackets
-    if owner.size:
-        phases = _polish(arguments, *brackets)
-        kept = _deeper_than_rounding(arguments, owner, phases, level)
-        owner, phases, right, level = owner[kept], phases[kept], right[kept], level[kept]
+    phases = _polish(arguments, *brackets)
+    kept = _deeper_than_rounding(arguments, owner, phases, level)
+    owner, phases, right, level = owner[kept], phases[kept], right[kept], level[kept]
     after = np.searchsorted(contact.breakpoints, level) + (right > 0)  # a root that rises leads to the upper mode
     return _patterns(values[:, 0], owner, phases, after, contact)
 
 
-def _brackets(arguments: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return owner, ends, values less the level there, and level of intervals that hold one root each."""
+def _brackets(arguments: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, ...] | None:
+    """Return owner, ends, values less the level there, and level of intervals that hold one root each; None if none."""
     width = 2 * np.pi / (values.shape[1] - 1)
     size = np.abs(arguments)
     bend = 2 * size @ np.arange(arguments.shape[1]) ** 2.0  # largest second derivative
-    near = (bend * width**2 / 8)[:, None]
+    near = bend * width**2 / 8
+    low, high = values.min(axis=1) - near, values.max(axis=1) + near
     found: list[tuple[np.ndarray, ...]] = []
     for level in levels:
+        if not ((low <= level) & (level <= high)).any():
+            continue
         f = values - level
-        above, close = f > 0, np.abs(f) <= near
+        above, close = f > 0, np.abs(f) <= near[:, None]
         i, j = np.nonzero((above[:, 1:] != above[:, :-1]) | close[:, 1:] | close[:, :-1])
         if i.size:
             found.append((i, j * width, (j + 1) * width, f[i, j], f[i, j + 1], np.full(i.size, level)))
     if not found:
-        return np.zeros(0, dtype=int), *(np.zeros((5, 0)))
+        return None
     cells = tuple(np.concatenate(column) for column in zip(*found, strict=True))
     rounding = _ROUNDING * (2 * size.sum(axis=1) + np.abs(levels).max())
     sure: list[tuple[np.ndarray, ...]] = []
@@ -108,9 +113,8 @@ def _brackets(arguments: np.ndarray, values: np.ndarray, levels: np.ndarray) -> 
         f = _at(arguments, owner, middle, 0) - level
         ends = np.append(low, middle), np.append(middle, high), np.append(left, f), np.append(f, right)
         cells = np.append(owner, owner), *ends, np.append(level, level)
-    if len(sure) == 1:
-        return sure[0]
-    return tuple(np.concatenate(column) for column in zip(*sure, strict=True))
+    kept = sure[0] if len(sure) == 1 else tuple(np.concatenate(column) for column in zip(*sure, strict=True))
+    return kept if kept[0].size else None
 
 
 def _judge(left: np.ndarray, right: np.ndarray, wave: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,13 +201,26 @@ def _patterns(
 
 
 def piecewise_spectrum(pattern: ContactPattern, values: np.ndarray, last: int) -> np.ndarray:
-    """Return two-sided Fourier coefficients, orders -last..last, of the function that is values[mode] in each mode."""
-    level = values[pattern.modes]
-    jump, phases = np.diff(level), pattern.phases
-    k = np.arange(1, last + 1)
-    positive = (np.exp(-1j * np.outer(k, phases)) @ jump) / (2j * np.pi * k)
-    mean = level[-1] - jump @ phases / (2 * np.pi) if phases.size else level[0]
-    return np.concatenate([positive[::-1].conj(), [mean], positive])
+    """Return two-sided Fourier coefficients of the function that is values[mode] in each mode, orders -last..last.
+
+    Parameters
+    ----------
+    values : array (modes,) or (modes, c)
+
+    Returns
+    -------
+    complex array (2 last + 1,) or (2 last + 1, c)
+    """
+    level, phases = values[pattern.modes], pattern.phases
+    out = np.zeros((2 * last + 1, *values.shape[1:]), dtype=complex)
+    out[last] = level[-1]
+    if phases.size:
+        jump = level[1:] - level[:-1]
+        k = np.arange(1, last + 1)
+        positive = (np.exp(-1j * np.multiply.outer(k, phases)) @ jump).T / (2j * np.pi * k)
+        out[last] -= phases @ jump / (2 * np.pi)
+        out[last + 1 :], out[:last] = positive.T, positive.T[::-1].conj()
+    return out
 
 
 def modulate(two_sided: np.ndarray, gain: np.ndarray, multiple: int) -> np.ndarray:

@@ -7,9 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from continuation.branches.bordered import bordered_factors
 from continuation.branches.newton import size_of
 from continuation.orbits.near_fold import measures_error
 from continuation.orbits.spectrum import pack, unpack
+from continuation.orbits.split_operator import SplitMatrix
+
+_LINEAR = 1e-9  # accuracy of the linear equations where they are solved by iteration
+_DIRECT = 50_000  # products of two coefficients from which Fourier transforms are faster
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +39,57 @@ class Estimate:
 
 def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
     """Return the estimate of a point (u, p) of a HarmonicBalanceProblem; cost about a Newton step."""
-    k = problem.ports.outputs
-    H = (len(u) // k - 1) // 2
-    tail, low, load = _left_out(problem, u, p)
-    unit = problem.parameter_scale(p)
-    z, t = _changes(problem, u, p, pack(low), unit)
+    left, unit = _left_out(problem, u, p), problem.parameter_scale(p)
+    low = pack(left.pushed - left.balance.residual[: len(left.pushed)])
+    z, t = _changes(problem, u, p, low, unit)
+    return _judged(problem, u, p, left, (z, t), left.balance.load[: len(left.pushed)])
+
+
+def finish(
+    problem: Any, u: np.ndarray, p: float, factors: Any, tangent: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Estimate]:
+    """Return a chord step, the tangent, and the error estimate behind that step, from one port force at (u, p).
+
+    Parameters
+    ----------
+    factors : Factors
+        Of the bordered Jacobian of a point close by, from which Newton's method came.
+    tangent : array (N+1,)
+        Solution of that matrix for the right-hand side [0, .., 0, 1].
+
+    Returns
+    -------
+    step, tangent : arrays (N+1,)
+        The tangent is that at (u, p), one step of iterative refinement from the one given.
+    estimate : Estimate
+        Of (u, p) + step, to first order.
+    """
+    k, unit, N = problem.ports.outputs, problem.parameter_scale(p), len(u)
+    left = _left_out(problem, u, p)
+    kept = left.balance.first((N // k - 1) // 2 + 1)
+    bent, _ = _linear(kept, left.slope, unpack(tangent[:-1], k))
+    right = np.zeros((N + 1, 3), order="F")
+    right[:N, 0] = -pack(kept.residual)
+    right[:N, 1] = pack(left.pushed)
+    right[:N, 2] = -pack(bent) - tangent[-1] * pack(problem.derivative(unpack(u, k), p, kept))
+    step, z, turn = factors.solve(right, accuracy=_LINEAR).T
+    t, unscaled = tangent + turn, np.append(np.ones(N), unit)
+    moved = _linear(kept, left.slope, unpack(step[:-1], k))[1] + step[-1] * problem.force_derivative(unpack(u, k), p)
+    return step, t, _judged(problem, u + step[:-1], p, left, (z / unscaled, t / unscaled), kept.load + moved)
+
+
+def _linear(balance: Any, slope: np.ndarray, Y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the linearised balance (H+1, k) of a change of the orbit, and the port load (H+1, m) that it makes."""
+    load = _times_waveform(slope, Y) + product(balance.stiffness, Y[..., None])[..., 0]
+    return Y - product(balance.transfer, load[..., None])[..., 0], load
+
+
+def _judged(
+    problem: Any, u: np.ndarray, p: float, left: _LeftOut, change: tuple[np.ndarray, np.ndarray], load: np.ndarray
+) -> Estimate:
+    """Return the estimate from the change (du, dp / unit) found, the direction of the branch, and the port load."""
+    k, unit = problem.ports.outputs, problem.parameter_scale(p)
+    (z, t), tail, H = change, left.tail, (len(u) // k - 1) // 2
     # shortest change of (u, p) instead of the one at fixed p, so that it stays finite at folds
     weights = np.ones(len(z))
     weights[len(u) :] = 0.0
@@ -59,11 +110,21 @@ def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
     return Estimate(step, fixed, dp * unit, turn, shortest, 2 * error + _of_receptance(problem, u, p, load), load)
 
 
-def _left_out(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the harmonics left out (n, k), what the balance of those kept lacks (H+1, k), and the port load.
+@dataclass(frozen=True, slots=True)
+class _LeftOut:
+    """Harmonics left out and what they do.
 
-    It lacks what those left out add, and the residual that Newton's method has left.
+    ``tail`` (n, k) holds those left out; ``pushed`` (H+1, k) is what they add to the balance of those kept; ``balance``
+    and ``slope`` are those of the orbit as one of n harmonics.
     """
+
+    tail: np.ndarray
+    pushed: np.ndarray
+    balance: Any
+    slope: np.ndarray
+
+
+def _left_out(problem: Any, u: np.ndarray, p: float) -> _LeftOut:
     k = problem.ports.outputs
     Y = unpack(u, k)
     H = len(Y) - 1
@@ -71,21 +132,24 @@ def _left_out(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.nda
     longer = np.zeros((n, k), dtype=complex)
     longer[: H + 1] = Y
     force = problem.forces(longer, problem.vector(p), n - 1, n + H)
-    R, transfer, V, _ = problem.balance(longer, force.W, p)
-    stiffness = problem.receptance(p).stiffness(np.arange(n))
+    balance = problem.balance(longer, force.W, p)
+    transfer, R = balance.transfer, balance.residual
     middle = len(force.slope) // 2
     tail = np.zeros_like(longer)
-    own = np.eye(k) - product(transfer[H + 1 :], force.slope[middle] + stiffness[H + 1 :])
+    own = np.eye(k) - product(transfer[H + 1 :], force.slope[middle] + balance.stiffness[H + 1 :])
     tail[H + 1 :] = -R[H + 1 :] / own[:, 0] if k == 1 else -np.linalg.solve(own, R[H + 1 :, :, None])[..., 0]
     # what the tail does to the harmonics kept: the port force it adds, through the linearised balance
     added = _times_waveform(force.slope, tail)[: H + 1]
-    return tail, product(transfer[: H + 1], added[..., None])[..., 0] - R[: H + 1], V[: H + 1]
+    pushed = product(transfer[: H + 1], added[..., None])[..., 0]
+    return _LeftOut(tail, pushed, balance, force.slope)
 
 
 def _times_waveform(slope: np.ndarray, tail: np.ndarray) -> np.ndarray:
     """Return harmonics 0..n-1 of slope (2L+1, m, k, two-sided) times a waveform (n, k); right for orders <= L - n."""
     n, middle = len(tail), len(slope) // 2
     two_sided = np.concatenate([tail[:0:-1].conj(), tail])
+    if slope.shape[1:] == (1, 1) and len(slope) * len(two_sided) < _DIRECT:
+        return np.convolve(slope[:, 0, 0], two_sided[:, 0])[middle + n - 1 : middle + 2 * n - 1, None]
     size = 1 << (len(slope) + len(two_sided) - 1).bit_length()
     spectra = np.fft.fft(slope, size, axis=0), np.fft.fft(two_sided, size, axis=0)
     full = np.fft.ifft(np.einsum("fmk,fk->fm", *spectra), axis=0)
@@ -101,16 +165,21 @@ def _changes(problem: Any, u: np.ndarray, p: float, low: np.ndarray, unit: float
     if factors is not None:  # those of the last Newton step, bordered by the normal of its hyperplane
         right = np.zeros((len(u) + 1, 2), order="F")
         right[: len(low), 0], right[-1, 1] = low, 1.0
-        z, t = (factors.solve(right) / np.append(np.ones(len(u)), unit)[:, None]).T
+        z, t = (factors.solve(right, accuracy=_LINEAR) / np.append(np.ones(len(u)), unit)[:, None]).T
         return z, t
     matrix, Fp = _balance_matrix(problem, u, p)
     problem.factorisations += 1
-    n = len(Fp)
-    whole, right = np.empty((n + 1, n + 1)), np.zeros((n + 1, 2))
-    whole[:n, :n], whole[:n, n] = matrix, unit * Fp
-    row = np.random.default_rng(0).standard_normal(n + 1) / np.sqrt(n + 1)
-    whole[n], right[: len(low), 0], right[n, 1] = row * np.abs(matrix).max(), low, 1.0
-    z, t = np.linalg.solve(whole, right).T
+    n, k = len(Fp), problem.ports.outputs
+    right = np.zeros((n + 1, 2))
+    right[: len(low), 0], right[n, 1] = low, 1.0
+    largest = np.abs(matrix.inner.block if isinstance(matrix, SplitMatrix) else matrix).max()
+    row = largest * np.random.default_rng(0).standard_normal(n + 1) / np.sqrt(n + 1)
+    falling = 1.0 / (1.0 + np.arange((len(u) // k - 1) // 2 + 1)) ** 2
+    row[: len(u)] *= pack(np.repeat(falling[:, None], k, axis=1) * (1 + 1j))
+    factors = bordered_factors(matrix, unit * Fp, row)
+    if factors is None:
+        raise np.linalg.LinAlgError("the bordered balance is singular")
+    z, t = factors.solve(right, accuracy=_LINEAR).T
     return z, t
 
 
@@ -122,10 +191,10 @@ def through_balance(problem: Any, u: np.ndarray, p: float, low: np.ndarray) -> n
     """
     matrix, Fp = _balance_matrix(problem, u, p)
     problem.factorisations += 1
-    return np.linalg.solve(matrix, np.stack([np.append(low, np.zeros(len(Fp) - len(low))), Fp], axis=1))
+    return np.linalg.solve(np.asarray(matrix), np.stack([np.append(low, np.zeros(len(Fp) - len(low))), Fp], axis=1))
 
 
-def _balance_matrix(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+def _balance_matrix(problem: Any, u: np.ndarray, p: float) -> tuple[Any, np.ndarray]:
     """Return the matrix of the linearised balance, bordered where the frequency is free, and its parameter column."""
     J, Fp = problem.linearised(u, p)
     if not problem.free:
@@ -148,15 +217,16 @@ def _of_receptance(problem: Any, u: np.ndarray, p: float, load: np.ndarray) -> f
     forcing[: len(driven) - 1] = driven[1:]
     doubt = r.doubt(1j * np.arange(1, len(load)) * problem.frequency(p), load[1:], forcing)
     matrix, Fp = _balance_matrix(problem, u, p)
-    extended = np.column_stack([matrix, Fp * problem.parameter_scale(p)])  # the way back may move the parameter, too
+    # the way back may move the parameter, too
+    extended = np.column_stack([np.asarray(matrix), Fp * problem.parameter_scale(p)])
     least = float(np.linalg.svd(extended, compute_uv=False)[-1])
     return float(np.sqrt(2 * len(u)) * np.linalg.norm(np.sqrt(2) * doubt) / max(least, 1e-300))
 
 
 def waveform_size(u: np.ndarray, k: int) -> float:
     """Return a bound of the waveform of a packed spectrum: the sum of its amplitudes."""
-    Y = np.abs(unpack(u, k)).sum(axis=1)
-    return float(Y[0] + 2 * Y[1:].sum())
+    pairs = u[k:].reshape(2, -1)
+    return float(np.abs(u[:k]).sum() + np.sqrt(2.0) * np.hypot(pairs[0], pairs[1]).sum())
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ from scipy.optimize import linear_sum_assignment
 from continuation.model.linear_part import units_of
 from continuation.orbits.contact_residual import contact_defect
 from continuation.orbits.contact_series import ContactPattern
-from continuation.orbits.hill import CondensedHill
-from continuation.orbits.monodromy import flow_of, monodromy, multipliers, transition_matrices
+from continuation.orbits.hill import corrected
+from continuation.orbits.monodromy import monodromy, multipliers, transition_matrices
 from continuation.orbits.near_fold import side_unknown
 from continuation.orbits.orbit import Orbit, Stability
 from continuation.orbits.patterns import Contacts, contact_patterns, named
@@ -49,18 +49,23 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
     mu, reach, rounding = spectra(problem, own, flow.matrices[:n])
     shifted = _all_multipliers(problem, there, flow.matrices[n : 2 * n], wide(mu))
     nearest = dict(zip(back, multipliers(flow.matrices[2 * n :]), strict=True))
-    orbits = []
-    for i, (u, p, error) in enumerate(points):
+    bars, defects = [], []
+    for i, (u, p) in enumerate(own):
         defect, effect = contact_defect(problem, u, p, flow.patterns[i])
+        defects.append(defect)
         bar = 2 * distance(mu[i], shifted[i]) + np.abs(mu[i]) * abs(flow.liouville[i]) + rounding[i] + effect * reach[i]
         if i in nearest:
             bar = bar + _DOUBT * distance(shifted[i], nearest[i])
         if estimates[i].fixed is None:
             bar = side_unknown(mu[i], bar, bool(problem.free))
-        opinion = second_opinion(problem, u, p, mu[i], bar, flow.patterns[i] if defect < _SAME else None)
+        bars.append(bar)
+    checked = [used if d < _SAME else None for used, d in zip(flow.patterns, defects, strict=False)]
+    opinions = second_opinions(problem, own, mu, np.array(bars), checked)
+    orbits = []
+    for i, (u, p, error) in enumerate(points):
         contacts = named(problem.system, list(flow.patterns[i]), problem.period_multiple)
-        states = problem.state_spectrum(u, p)
-        orbits.append(build_orbit(problem, p, states, mu[i], np.fmax(bar, opinion), error, contacts, opinion))
+        states, bar = problem.state_spectrum(u, p), np.fmax(bars[i], opinions[i])
+        orbits.append(build_orbit(problem, p, states, mu[i], bar, error, contacts, opinions[i]))
     return orbits
 
 
@@ -137,33 +142,32 @@ def conditioned(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return values, condition, size
 
 
-def second_opinion(
+def second_opinions(
     problem: Any,
-    u: np.ndarray,
-    p: float,
+    points: list[tuple[np.ndarray, float]],
     mu: np.ndarray,
-    bar: np.ndarray,
-    patterns: tuple[ContactPattern, ...] | None,
+    bars: np.ndarray,
+    patterns: list[tuple[ContactPattern, ...] | None],
 ) -> np.ndarray:
-    """Return the difference (n,) of multipliers from Hill's method, NaN where it is not asked or can't answer.
+    """Return differences (N, n) of multipliers from Hill's method, NaN where it is not asked or can't answer.
 
     It is asked for the largest multiplier (of an autonomous System the largest but that of the flow), and for those
     whose distance from the unit circle is one to ten bars.
-    ``patterns`` are the contact changes of the orbit where they have been checked.
+    ``patterns`` are the contact changes of the orbits where they have been checked.
     """
-    out = np.full(len(mu), np.nan)
-    leading = 0
-    if problem.free and len(mu) > 1 and abs(mu[0] - 1) < abs(mu[1] - 1):
-        leading = 1  # the first is that of the flow direction
-    if not (flow_of(problem, p).modal and np.isfinite(mu).all()):
-        return out
+    out = np.full(mu.shape, np.nan)
     away = np.abs(np.abs(mu) - 1)
-    asked = (away > bar) & (away < _CRITICAL * bar)
-    asked[leading] = True
-    hill = CondensedHill(problem, u, p, patterns=patterns)
-    for i in np.flatnonzero(asked & (mu.imag >= 0) & (mu != 0)):
-        partner = np.abs(mu - mu[i].conj()) <= 1e-9 * np.abs(mu[i])
-        out[partner] = out[i] = abs(hill.multiplier(mu[i]) - mu[i])
+    wanted = (away > bars) & (away < _CRITICAL * bars)
+    leading = np.zeros(len(mu), dtype=int)
+    if problem.free and mu.shape[1] > 1:
+        leading[np.abs(mu[:, 0] - 1) < np.abs(mu[:, 1] - 1)] = 1  # the first is that of the flow direction
+    wanted[np.arange(len(mu)), leading] = True
+    wanted &= np.isfinite(mu).all(axis=1)[:, None] & (mu.imag >= 0) & (mu != 0)
+    places = np.argwhere(wanted)
+    found = corrected(problem, points, patterns, [(int(i), complex(mu[i, j])) for i, j in places])
+    for (i, j), other in zip(places, found, strict=True):
+        partner = np.abs(mu[i] - mu[i, j].conj()) <= 1e-9 * np.abs(mu[i, j])
+        out[i, partner] = out[i, j] = abs(other - mu[i, j])
     return out
 
 

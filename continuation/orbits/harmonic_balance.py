@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from continuation.branches.newton import Factors, size_of
+from continuation.branches.bordered import Factors
+from continuation.branches.newton import size_of
 from continuation.model.ports import LinearPart, Ports
 from continuation.model.system import System
 from continuation.orbits.curvature import critical_form
-from continuation.orbits.estimate import Estimate, estimate_error, product, waveform_size
+from continuation.orbits.estimate import Estimate, estimate_error, finish, product, waveform_size
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.port_force import PortForces
 from continuation.orbits.receptance import Receptance, receptance
 from continuation.orbits.shifted import CriticalForm, ShiftedOperator
 from continuation.orbits.spectrum import operator, pack, resize, unpack
+from continuation.orbits.split_operator import split
 
 _REMEMBERED = 1024  # error estimates kept
 
@@ -72,6 +74,23 @@ class HarmonicBalance:
         return HarmonicBalanceProblem(self, system, parameter, period_multiple, values)
 
 
+class Balance(NamedTuple):
+    """Residual harmonics (H+1, k), receptance (H+1, k, m) and reference slope (H+1, m, k) of the ports.
+
+    ``load`` (H+1, m) is that of the ports V = W + S Y, ``driven`` the forcing of the states at the forced orders.
+    """
+
+    residual: np.ndarray
+    transfer: np.ndarray
+    stiffness: np.ndarray
+    load: np.ndarray
+    driven: np.ndarray
+
+    def first(self, count: int) -> Balance:
+        """Return the same with fewer harmonics."""
+        return Balance(*(part[:count] for part in self))
+
+
 class HarmonicBalanceProblem:
     """Condensed harmonic-balance equations of one System in one parameter; see :class:`HarmonicBalance`.
 
@@ -94,7 +113,7 @@ class HarmonicBalanceProblem:
         self._derived: tuple[LinearPart, Any] | None = None
         self._vector: tuple[float, np.ndarray] | None = None
         self._driven: tuple[np.ndarray, np.ndarray] | None = None
-        self._last: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
+        self._last: tuple[np.ndarray, np.ndarray, Any, np.ndarray] | None = None
         self._factors: Factors | None = None
         self.forces = PortForces(self.ports, self.period_multiple)
         self._corrections: dict[bytes, Estimate] = {}
@@ -173,17 +192,17 @@ class HarmonicBalanceProblem:
     def residual(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return F(u, p), same shape as u; cost one closed-form force, about 0.15 ms at H = 63."""
         Y = unpack(u, self.ports.outputs)
-        return pack(self.balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)[0])
+        return pack(self.balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p).residual)
 
-    def balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return residual harmonics, port receptance, the ports' load V = W + S Y and the forcing of the states."""
-        r, orders = self.receptance(p), np.arange(len(Y))
-        transfer = self.transfer(p, orders)
-        V = W + product(r.stiffness(orders), Y[..., None])[..., 0]
+    def balance(self, Y: np.ndarray, W: np.ndarray, p: float) -> Balance:
+        """Return residual harmonics and what they are made of, for port arguments Y (H+1, k) and port forces W."""
+        orders = np.arange(len(Y))
+        transfer, stiffness = self.transfer(p, orders), self.receptance(p).stiffness(orders)
+        V = W + product(stiffness, Y[..., None])[..., 0]
         driven = self.driven(p, len(Y) - 1)
         R = Y - product(transfer, V[..., None])[..., 0]
         R[: len(driven)] -= self.seen(p, driven)
-        return R, transfer, V, driven
+        return Balance(R, transfer, stiffness, V, driven)
 
     def driven(self, p: float, harmonics: int) -> np.ndarray:
         """Return the forcing of the states (K, n) at the orders 0..K-1 <= harmonics that are forced."""
@@ -201,37 +220,42 @@ class HarmonicBalanceProblem:
         load[: len(driven)] += driven[: len(load)]
         return self.states(p, load)
 
-    def linearise(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def linearise(self, u: np.ndarray, p: float) -> tuple[np.ndarray, Any, np.ndarray]:
         """Return F (N,), J = dF/du (N, N) and dF/dp (N,) at once; J is exact, also with contacts."""
         self.evaluations += 1
         Y = unpack(u, self.ports.outputs)
         H = len(Y) - 1
         force = self.forces(Y, self.vector(p), H, 2 * H)
         balance = self.balance(Y, force.W, p)
-        J = operator(balance[1], force.slope, self.receptance(p).stiffness(np.arange(H + 1)), H + 1)
-        Fp = self._derivative(Y, p, balance, self._index)
+        J = _operator(balance.transfer, force.slope, balance.stiffness, half=False)
+        Fp = pack(self.derivative(Y, p, balance))
         self._last = (u, self.vector(p), J, Fp)
         self._factors = None
         self._slope = (u, self.vector(p), force.slope)
-        return pack(balance[0]), J, Fp
+        return pack(balance.residual), J, Fp
 
     def parameter_derivative(self, u: np.ndarray, p: float, name: str) -> np.ndarray:
         """Return dF/d(name), same shape as u, exact for every parameter of the System."""
         Y = unpack(u, self.ports.outputs)
         force = self.forces(Y, self.vector(p), len(Y) - 1, 0)
         balance = self.balance(Y, force.W, p)
-        return self._derivative(Y, p, balance, self.system.parameter_names.index(self.system.check_parameter(name)))
+        index = self.system.parameter_names.index(self.system.check_parameter(name))
+        return pack(self.derivative(Y, p, balance, index))
 
-    def _derivative(self, Y: np.ndarray, p: float, balance: tuple[np.ndarray, ...], index: int) -> np.ndarray:
-        """Return dF/dp of one parameter: what it does to phase speed, port forces, forcing and linear part."""
-        _, transfer, V, driven = balance
+    def derivative(self, Y: np.ndarray, p: float, balance: Balance, index: int | None = None) -> np.ndarray:
+        """Return dF/dp (H+1, k) of one parameter: what it does to phase speed, port forces, forcing and linear part.
+
+        Without an index it is that of the continuation parameter.
+        """
+        index = self._index if index is None else index
+        transfer, V, driven = balance.transfer, balance.load, balance.driven
         out = np.zeros_like(Y)
         if index == self._frequency:
             out += self._phase_derivative(p, driven, V)
             if not self.ports.frequency_explicit:
-                return pack(out)
+                return out
         vector, n = self.vector(p), self.period_multiple
-        out -= product(transfer, self.forces.parameter_derivative(Y, vector, len(Y) - 1, index)[..., None])[..., 0]
+        out -= product(transfer, self.force_derivative(Y, p, index)[..., None])[..., 0]
         change = self.forces.parameters.forcing(vector, index).u[: (len(Y) - 1) // n + 1]
         if change.any():
             load = np.zeros(((len(change) - 1) * n + 1, change.shape[1]), dtype=complex)
@@ -240,7 +264,14 @@ class HarmonicBalanceProblem:
         moved = self.ports.linear_derivative(vector, index)
         if moved is not None:
             out -= self._linear_change(Y, p, V, driven, moved)
-        return pack(out)
+        return out
+
+    def force_derivative(self, Y: np.ndarray, p: float, index: int | None = None) -> np.ndarray:
+        """Return d(port force)/dp (H+1, m) of a parameter, the continuation parameter by default, at fixed Y."""
+        index = self._index if index is None else index
+        if index == self._frequency and not self.ports.frequency_explicit:
+            return np.zeros((len(Y), self.ports.inputs), dtype=complex)
+        return self.forces.parameter_derivative(Y, self.vector(p), len(Y) - 1, index)
 
     def _linear_change(self, Y: np.ndarray, p: float, V: np.ndarray, driven: np.ndarray, moved: Any) -> np.ndarray:
         """Return d(C x) where A, B and C change, the port load held fixed; S stays what it is."""
@@ -270,15 +301,15 @@ class HarmonicBalanceProblem:
         extra = len(self._slope[2]) // 2 - reach
         return self._slope[2][extra : len(self._slope[2]) - extra]
 
-    def half_operator(self, u: np.ndarray, p: float) -> np.ndarray:
+    def half_operator(self, u: np.ndarray, p: float) -> Any:
         """Return the operator on half-integer harmonics, singular exactly at a multiplier -1; shape (2 K k, 2 K k)."""
         Y = unpack(u, self.ports.outputs)
         K = max(len(Y) - 1, 2)
         orders = np.arange(K) + 0.5
         slope = self.port_slope(u, p, 2 * K)
-        return operator(self.transfer(p, orders), slope, self.receptance(p).stiffness(orders), K, half=True)
+        return _operator(self.transfer(p, orders), slope, self.receptance(p).stiffness(orders), half=True)
 
-    def critical_operator(self, u: np.ndarray, p: float, nu: float) -> np.ndarray:
+    def critical_operator(self, u: np.ndarray, p: float, nu: float) -> Any:
         """Return the operator that is singular exactly at a multiplier exp(2 pi i nu); real for nu = 0 and 1/2."""
         if nu == 0.0:
             last = self._last
@@ -294,20 +325,21 @@ class HarmonicBalanceProblem:
     def estimate(self, u: np.ndarray, p: float) -> Estimate:
         """Return the error estimate of (u, p), remembered for the points of one branch; cost about a Newton step."""
         key = u.tobytes() + self.vector(p).tobytes()
-        if key not in self._corrections:
-            if len(self._corrections) >= _REMEMBERED:
-                self._corrections.clear()
-            self._corrections[key] = estimate_error(self, u, p)
-        return self._corrections[key]
+        return self._corrections.get(key) or self._remember(u, p, estimate_error(self, u, p))
 
-    def linearised(self, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray]:
+    def _remember(self, u: np.ndarray, p: float, estimate: Estimate) -> Estimate:
+        if len(self._corrections) >= _REMEMBERED:
+            self._corrections.clear()
+        return self._corrections.setdefault(u.tobytes() + self.vector(p).tobytes(), estimate)
+
+    def linearised(self, u: np.ndarray, p: float) -> tuple[Any, np.ndarray]:
         """Return dF/du and dF/dp, the ones of the last Newton step where that was close by."""
         last = self._last
         if last is not None and self._close_by(last, u, p):
             return last[2], last[3]
         return self.linearise(u, p)[1:]
 
-    def _close_by(self, last: tuple[np.ndarray, ...], u: np.ndarray, p: float) -> bool:
+    def _close_by(self, last: tuple[Any, ...], u: np.ndarray, p: float) -> bool:
         """Tell whether the last linearisation was made so near (u, p) that it serves there, too."""
         if len(last[0]) != len(u):
             return False
@@ -322,6 +354,22 @@ class HarmonicBalanceProblem:
         """Return the factors of the matrix of the last Newton step where that was close by, else None."""
         last = self._last
         return self._factors if last is not None and self._factors is not None and self._close_by(last, u, p) else None
+
+    def finish(
+        self, u: np.ndarray, p: float, factors: Factors, tangent: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, Callable[[], None]] | None:
+        """Return a chord step from (u, p), the tangent there, and what keeps the error estimate behind that step.
+
+        None with a free frequency. See :func:`continuation.orbits.estimate.finish`.
+        """
+        if self.free:
+            return None
+        step, turned, estimate = finish(self, u, p, factors, tangent)
+
+        def keep() -> None:
+            self._remember(u + step[:-1], p + float(step[-1]), estimate)
+
+        return step, turned, keep
 
     def error(self, u: np.ndarray, p: float) -> float:
         """Return the estimated largest error of the waveform of the port arguments."""
@@ -449,7 +497,7 @@ class HarmonicBalanceProblem:
     def flip(self, u: np.ndarray, p: float) -> float:
         """Return a smooth function that vanishes at a multiplier -1: the determinant of :meth:`half_operator`."""
         self.factorisations += 1
-        sign, log = np.linalg.slogdet(self.half_operator(u, p))
+        sign, log = np.linalg.slogdet(np.asarray(self.half_operator(u, p)))
         return float(sign * np.exp(log))
 
     def guess(self, **values: float) -> Orbit:
@@ -490,6 +538,12 @@ class HarmonicBalanceProblem:
         from continuation.orbits.start import solve_from
 
         return solve_from(self, orbit, value)
+
+
+def _operator(transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, half: bool) -> Any:
+    """Return the operator of the balance as a matrix, with many harmonics as a SplitMatrix."""
+    found = split(transfer, slope, shift, half)
+    return operator(transfer, slope, shift, len(transfer), half) if found is None else found
 
 
 def ladder(harmonics: int) -> int:

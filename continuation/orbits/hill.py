@@ -17,14 +17,19 @@ from scipy.linalg import lapack
 
 from continuation.orbits import contact_series as series
 from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
-from continuation.orbits.monodromy import flow_of
+from continuation.orbits.monodromy import _Flow, flow_of
 from continuation.orbits.spectrum import unpack
 
 LARGEST = 1200  # rows of Hill's matrix: its eigenvalues then cost about 10 s
 _LEAST, _PLENTY = 15, 32  # harmonics of the perturbation per excitation period
 _TAIL = 8  # times as many orders are eliminated
 _NOTHING = 1e-9  # of the slope: what does not count
+_TOGETHER = 1_000_000  # entries of the matrices that are solved in one call
+_SMALL = 150  # rows of a matrix from which one factorisation less is worth a call each
 _NEAR = 0.01  # of the frequency: a pole that close to a harmonic is kept as an unknown of its own
+
+
+Patterns = tuple[series.ContactPattern, ...]
 
 
 class CondensedHill:
@@ -54,19 +59,14 @@ class CondensedHill:
         u: np.ndarray,
         p: float,
         harmonics: int | None = None,
-        patterns: tuple[series.ContactPattern, ...] | None = None,
+        patterns: Patterns | None = None,
     ) -> None:
-        self.frequency, self.flow = problem.frequency(p), flow_of(problem, p)
-        if not self.flow.modal:
+        flow = flow_of(problem, p)
+        if not flow.modal:
             raise ValueError("Hill's equations condense only where the linear part has well-conditioned modes")
-        own, n = len(u) // problem.ports.outputs // 2 + 1, problem.period_multiple
-        most = harmonics or max(min(own // 2, _PLENTY * n), own // 4, _LEAST * n)
-        reach = max(_TAIL * most, 0 if harmonics else 4 * own)
-        self.slope = port_slope(problem, u, p, reach, patterns)  # (2 L + 1, m, k)
-        K = harmonics or _enough(self.slope, most)
-        self.slope[len(self.slope) // 2] += problem.ports.linear(problem.vector(p)).S
-        self.orders = np.arange(-K, K + 1)
-        self.W = _toeplitz(self.slope, K)  # (m, k, 2K+1, 2K+1)
+        slope, K = _given(problem, u, p, harmonics, patterns)
+        self.frequency = problem.frequency(p)
+        self._equations = _Equations(flow, np.array([self.frequency]), slope[None], K)
 
     def correct(self, exponent: complex, steps: int = 1) -> complex:
         """Return an exponent after Newton steps on the determinant of the condensed equations.
@@ -78,8 +78,8 @@ class CondensedHill:
         for _ in range(steps):
             if not np.isfinite(s):
                 return complex(np.nan, np.nan)
-            change, vectors = self._newton(s, vectors)
-            s += change
+            (change,), vectors = self._equations.newton(np.array([s]), vectors)
+            s += complex(change)
             if abs(change) < 1e-12 * self.frequency:
                 break
         return s
@@ -87,74 +87,196 @@ class CondensedHill:
     def multiplier(self, mu: complex, steps: int = 1) -> complex:
         """Return a multiplier over the orbit's period after Newton steps of its exponent."""
         turn = 2 * np.pi / self.frequency
-        exponent = self.correct(complex(np.log(mu)) / turn, steps) * turn
-        if not exponent.real < 700.0:  # Newton's method ran away, or the multiplier is above the range of numbers
-            return complex(np.nan, np.nan)
-        return complex(np.exp(exponent))
+        return complex(_multiplier(np.array([self.correct(complex(np.log(mu)) / turn, steps) * turn]))[0])
 
-    def _newton(
-        self, s: complex, vectors: tuple[np.ndarray, np.ndarray] | None
-    ) -> tuple[complex, tuple[np.ndarray, np.ndarray]]:
-        """Return the Newton step of ``1 / (c D^-1 b)``, which vanishes where the matrix D(s) is singular.
+
+def corrected(
+    problem: HarmonicBalanceProblem,
+    points: list[tuple[np.ndarray, float]],
+    patterns: list[Patterns | None],
+    asked: list[tuple[int, complex]],
+) -> np.ndarray:
+    """Return multipliers (A,) after one Newton step each, NaN where modes are ill-conditioned or the step runs away.
+
+    Parameters
+    ----------
+    points : list of (u, p)
+    patterns : list
+        Contact changes of every point, or None; see :class:`CondensedHill`.
+    asked : list of (int, complex)
+        Number of the point, and a multiplier of it; ordered by the number.
+    """
+    out = np.full(len(asked), np.nan, dtype=complex)
+    groups: dict[tuple[int, int, int], list[int]] = {}
+    given: dict[int, tuple[_Flow, np.ndarray, int]] = {}
+    for a, (i, _) in enumerate(asked):
+        u, p = points[i]
+        if i not in given:
+            flow = flow_of(problem, p)
+            given[i] = (flow, *_given(problem, u, p, None, patterns[i])) if flow.modal else (flow, np.zeros(0), 0)
+        flow, slope, K = given[i]
+        if flow.modal:
+            groups.setdefault((id(flow), len(slope), K), []).append(a)
+    for (_, _, K), members in groups.items():
+        together = max(1, _TOGETHER // (2 * K + 1) ** 2)
+        for some in (members[start : start + together] for start in range(0, len(members), together)):
+            who = [asked[a][0] for a in some]
+            frequency = np.array([problem.frequency(points[i][1]) for i in who])
+            equations = _Equations(given[who[0]][0], frequency, np.array([given[i][1] for i in who]), K)
+            s = np.log(np.array([asked[a][1] for a in some], dtype=complex)) * frequency / (2 * np.pi)
+            out[some] = _multiplier((s + equations.newton(s)[0]) * 2 * np.pi / frequency)
+    return out
+
+
+def _multiplier(exponent: np.ndarray) -> np.ndarray:
+    """Return exp of exponents times the period; NaN above the range of numbers, where Newton's method ran away."""
+    fine = exponent.real < 700.0
+    return np.where(fine, np.exp(np.where(fine, exponent, 0.0)), complex(np.nan, np.nan))
+
+
+def _given(
+    problem: HarmonicBalanceProblem, u: np.ndarray, p: float, harmonics: int | None, patterns: Patterns | None
+) -> tuple[np.ndarray, int]:
+    """Return the slope (2 L + 1, m, k), the reference slope in it, and the harmonics K of the perturbation."""
+    own, n = len(u) // problem.ports.outputs // 2 + 1, problem.period_multiple
+    most = harmonics or max(min(own // 2, _PLENTY * n), own // 4, _LEAST * n)
+    reach = max(_TAIL * most, 0 if harmonics else 4 * own)
+    slope = port_slope(problem, u, p, reach, patterns)
+    K = harmonics or _enough(slope, most)
+    slope[len(slope) // 2] += problem.ports.linear(problem.vector(p)).S
+    return slope, K
+
+
+class _Equations:
+    """Condensed equations of N orbits of one linear part, each with one exponent.
+
+    Parameters
+    ----------
+    flow : _Flow
+    frequency : array (N,)
+    slope : complex array (N, 2 L + 1, m, k)
+    K : int
+        Orders -K..K of the perturbation are kept.
+    """
+
+    def __init__(self, flow: _Flow, frequency: np.ndarray, slope: np.ndarray, K: int) -> None:
+        self.flow, self.frequency, self.slope = flow, frequency, slope
+        self.orders = np.arange(-K, K + 1)
+        middle, order = slope.shape[1] // 2, np.arange(2 * K + 1)
+        self.W = slope[:, middle + order[:, None] - order[None, :]].transpose(0, 3, 4, 1, 2)  # (N, m, k, J, J)
+
+    def newton(
+        self, s: np.ndarray, vectors: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+        """Return the Newton step (N,) of ``1 / (c D^-1 b)``, which vanishes where the matrix D(s) is singular.
 
         Unknowns are the port arguments, and the modes whose pole is near to s + i k omega. The vectors c and b of a
         second step are the null vectors that the first one found: from there on it converges to that exponent.
         """
-        k, count = self.W.shape[1], len(self.orders)
-        R, dR, gap, rows, modes = self._receptance(s, self.orders)
-        size, own = k * count, k * count + np.arange(len(rows))
-        D = np.zeros((size + len(rows), size + len(rows)), dtype=complex)
-        if R.shape[1:] == (1, 1):
-            D[:size, :size] = -R[:, 0] * self.W[0, 0]
+        N, k, count = len(s), self.W.shape[2], len(self.orders)
+        R, dR, gap, close = self._receptance(s, self.orders)
+        rows, modes, there = _padded(close)
+        size, E = k * count, rows.shape[1]
+        each, own = np.arange(N)[:, None], size + np.arange(E)
+        D = np.zeros((N, size + E, size + E), dtype=complex)
+        if R.shape[2:] == (1, 1):
+            D[:, :size, :size] = -R[:, :, 0] * self.W[:, 0, 0]
         else:
-            D[:size, :size] = -np.einsum("iab,bcij->aicj", R, self.W, optimize=True).reshape(size, size)
-        D.ravel()[: size * len(D) : len(D) + 1] += 1.0
-        if len(rows):
-            D[rows[:, None] + count * np.arange(k), own[:, None]] = -self.flow.left[:, modes].T
-            D[size:, :size] = -np.einsum("eb,bcej->ecj", self.flow.right[modes], self.W[:, :, rows]).reshape(-1, size)
-            D[own, own] = gap[rows, modes]
-        b = np.append(np.exp(-0.25 * np.abs(np.tile(self.orders, k))), np.ones(len(rows))).astype(complex)
-        c, b = (b, b) if vectors is None or len(vectors[0]) != len(b) else vectors
-        factors, pivots, failed = lapack.zgetrf(D.T, overwrite_a=True)
-        if failed:  # exactly singular: the exponent is one
-            return 0.0, (c, b)
-        x, y = lapack.zgetrs(factors, pivots, b, trans=1)[0], lapack.zgetrs(factors, pivots, c, trans=0)[0]
-        wave, left = x[:size].reshape(k, count), y[:size].reshape(k, count)
-        load = np.sum([self.W[:, c] @ wave[c] for c in range(k)], axis=0)  # (m, 2K+1)
-        derivative = x[size:] @ y[size:] - np.einsum("ai,iab,bi->", left, dR, load)  # y dD/ds x
-        push = np.einsum("ai,iab->bi", left, R)
-        np.add.at(push.T, rows, y[size:, None] * self.flow.right[modes])
+            D[:, :size, :size] = -np.einsum("niab,nbcij->naicj", R, self.W, optimize=True).reshape(N, size, size)
+        D[:, np.arange(size), np.arange(size)] += 1.0
+        if E:
+            left, right = self.flow.left.T[modes] * there[..., None], self.flow.right[modes] * there[..., None]
+            for port in range(k):
+                D[each, rows + count * port, own] = -left[..., port]
+            picked = self.W[each, :, :, rows]  # (N, E, m, k, J)
+            D[:, size:, :size] = -np.einsum("neb,nebcj->necj", right, picked).reshape(N, E, size)
+            D[:, own, own] = np.where(there, gap[each, rows, modes], 1.0)
+        b = np.tile(np.append(np.exp(-0.25 * np.abs(np.tile(self.orders, k))), np.zeros(E)).astype(complex), (N, 1))
+        b[:, size:] = there
+        c, b = (b, b) if vectors is None or vectors[0].shape != b.shape else vectors
+        x, y, singular = _both(D, b, c)
+        wave, push = x[:, :size].reshape(N, k, count), y[:, :size].reshape(N, k, count)
+        load = np.einsum("nbcij,ncj->nbi", self.W, wave)  # (N, m, J)
+        derivative = (x[:, size:] * y[:, size:]).sum(axis=1) - np.einsum("nai,niab,nbi->n", push, dR, load)
+        push = np.einsum("nai,niab->nbi", push, R)
+        for e in range(E):
+            push[np.arange(N), :, rows[:, e]] += y[:, size + e, None] * right[:, e]
         with np.errstate(all="ignore"):
-            change = -complex(c @ x - self._tail(s, wave, push)) / complex(derivative)
-        return change, (y / np.linalg.norm(y), x / np.linalg.norm(x))
+            change = -((c * x).sum(axis=1) - self._tail(s, wave, push)) / derivative
+        change[singular] = 0.0  # the exponent is one
+        return change, (_unit(y), _unit(x))
 
-    def _receptance(self, s: complex, orders: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return R (K, k, m) and dR/ds at s + i k omega less near poles, all distances, and the near ones by number."""
+    def _receptance(self, s: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return R (N, K, k, m) and dR/ds at s + i k omega less near poles, all distances (N, K, n), and the near."""
         flow = self.flow
-        gap = s + 1j * orders[:, None] * self.frequency - flow.poles  # (K, n)
-        close = np.abs(gap) < _NEAR * self.frequency
+        at = s[:, None] + 1j * orders * self.frequency[:, None]
+        gap = at[..., None] - flow.poles
+        close = np.abs(gap) < (_NEAR * self.frequency)[:, None, None]
         gain = 1 / np.where(close, np.inf, gap)
         if len(flow.left) == flow.right.shape[1] == 1:
             residue = flow.left[0] * flow.right[:, 0]
-            R, dR = (gain @ residue)[:, None, None], -(gain**2 @ residue)[:, None, None]
-        else:
-            R, dR = (flow.left * gain[:, None, :]) @ flow.right, -(flow.left * gain[:, None, :] ** 2) @ flow.right
-        return R, dR, gap, *np.nonzero(close)
+            return (gain @ residue)[..., None, None], -(gain**2 @ residue)[..., None, None], gap, close
+        R = (flow.left * gain[..., None, :]) @ flow.right
+        return R, -(flow.left * gain[..., None, :] ** 2) @ flow.right, gap, close
 
-    def _tail(self, s: complex, wave: np.ndarray, push: np.ndarray) -> complex:
+    def _tail(self, s: np.ndarray, wave: np.ndarray, push: np.ndarray) -> np.ndarray:
         """Return what the orders beyond K do to the determinant: they answer to those kept, and act back on them."""
         slope, K = self.slope, len(self.orders) // 2
-        L = len(slope) // 2
+        L, k = slope.shape[1] // 2, wave.shape[1]
         orders = np.concatenate([np.arange(K - L, -K), np.arange(K + 1, L - K + 1)])
         at = K + L + orders
         R = self._receptance(s, orders)[0]
-        k, m = len(wave), len(push)
-        load = np.stack([sum(np.convolve(wave[c], slope[:, b, c])[at] for c in range(k)) for b in range(m)], axis=1)
+        load = _convolved(slope, wave, "nfbc,nfc->nfb")[:, at]
         answer = (R @ load[..., None])[..., 0]
-        own = np.eye(k) - R @ slope[L]
-        answer = answer / own[:, 0] if k == 1 else np.linalg.solve(own, answer[..., None])[..., 0]
-        back = np.stack([sum(np.convolve(push[b], slope[::-1, b, c])[at] for b in range(m)) for c in range(k)], axis=1)
-        return complex(np.sum(back * answer))
+        own = np.eye(k) - R @ slope[:, L, None]
+        answer = answer / own[..., 0] if k == 1 else np.linalg.solve(own, answer[..., None])[..., 0]
+        back = _convolved(slope[:, ::-1], push, "nfbc,nfb->nfc")[:, at]
+        return np.asarray((back * answer).sum(axis=(1, 2)))
+
+
+def _convolved(slope: np.ndarray, wave: np.ndarray, product: str) -> np.ndarray:
+    """Return the full convolution of slopes (N, 2 L + 1, m, k) with waves (N, c, J), orders -(L + K)..(L + K)."""
+    length = slope.shape[1] + wave.shape[2] - 1
+    count = 1 << (length - 1).bit_length()
+    spectra = np.fft.fft(slope, count, axis=1), np.fft.fft(wave, count, axis=2).transpose(0, 2, 1)
+    return np.fft.ifft(np.einsum(product, *spectra), axis=1)[:, :length]
+
+
+def _padded(close: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return orders (N, E) and modes (N, E) by number where (N, J, n) is true, and which (N, E) of them are none."""
+    owner, rows, modes = np.nonzero(close)
+    counts = np.bincount(owner, minlength=len(close))
+    there = np.arange(counts.max(initial=0)) < counts[:, None]
+    out = np.zeros((2, *there.shape), dtype=int)
+    out[:, there] = rows, modes
+    return out[0], out[1], there
+
+
+def _both(D: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the solutions of ``D x = b`` and ``D' y = c`` for matrices (N, q, q), and which are exactly singular."""
+    singular = np.zeros(len(D), dtype=bool)
+    if len(D) > 1 and D.shape[1] <= _SMALL:  # two factorisations each, in one call
+        try:
+            return (
+                np.linalg.solve(D, b[..., None])[..., 0],
+                np.linalg.solve(D.transpose(0, 2, 1), c[..., None])[..., 0],
+                singular,
+            )
+        except np.linalg.LinAlgError:
+            pass  # one of them is singular: told one by one
+    x, y = np.zeros_like(b), np.zeros_like(c)
+    for i, matrix in enumerate(D):
+        factors, pivots, failed = lapack.zgetrf(matrix.T, overwrite_a=True)
+        singular[i] = failed != 0
+        if not failed:
+            x[i] = lapack.zgetrs(factors, pivots, b[i], trans=1)[0]
+            y[i] = lapack.zgetrs(factors, pivots, c[i], trans=0)[0]
+    return x, y, singular
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    size = np.linalg.norm(v, axis=1, keepdims=True)
+    return v / np.where(size > 0, size, 1.0)
 
 
 def port_slope(
@@ -162,7 +284,7 @@ def port_slope(
     u: np.ndarray,
     p: float,
     reach: int,
-    patterns: tuple[series.ContactPattern, ...] | None = None,
+    patterns: Patterns | None = None,
 ) -> np.ndarray:
     """Return Fourier coefficients (2 reach + 1, m, k) of the port slope along an orbit, orders -reach..reach."""
     ports, vector = problem.ports, problem.vector(p)

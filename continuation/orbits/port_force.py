@@ -112,6 +112,14 @@ class PortForces:
         spectrum[0] = spectrum[0].real
         return spectrum[: used[-1] + 1] if used.size else spectrum[:1]
 
+    def check_rests(self, i: int, arguments: np.ndarray, spectra: list[np.ndarray], vectors: list[np.ndarray]) -> None:
+        """Do :meth:`check_rest` for several orbits, their arguments (N, K) padded to one length."""
+        levels = np.array(self.ports.system.contacts[i].breakpoints)
+        way = 2 * np.abs(arguments[:, 1:]).sum(axis=1) + np.abs(arguments[:, :1].real - levels).min(axis=1)
+        size = np.array([np.abs(Y).max() for Y in spectra])
+        for j in np.flatnonzero(way <= _REST * np.maximum(size, np.abs(levels).max())):
+            self.check_rest(i, arguments[j], spectra[j], vectors[j])
+
     def check_rest(self, i: int, argument: np.ndarray, Y: np.ndarray, vector: np.ndarray) -> None:
         """Raise RestingContact if the argument of contact i (half spectrum) stays on a breakpoint all along Y."""
         system, contact = self.ports.system, self.ports.system.contacts[i]
@@ -144,8 +152,9 @@ class PortForces:
         a = _trim(self.argument(i, Y, vector))
         pattern = series.find_pattern(a, contact)
         last, reach, edge = len(W) - 1, len(slope) // 2, (gain.shape[-1] - 1) * n
-        rigid = series.piecewise_spectrum(pattern, np.array(contact.slopes), max(last + len(a) - 1, reach) + edge)
-        shift = series.piecewise_spectrum(pattern, contact.intercepts, last + edge)
+        law, most = np.array([contact.slopes, contact.intercepts]).T, max(last + len(a) - 1, reach) + edge
+        rigid, shift = series.piecewise_spectrum(pattern, law, most).T
+        shift = shift[most - last - edge : most + last + edge + 1]
         for row in range(W.shape[1]):
             g = series.modulate(rigid, gain[row], n)
             W[:, row] += _times(g, a, last) + series.modulate(shift, gain[row], n)[last:]

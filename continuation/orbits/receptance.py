@@ -79,6 +79,7 @@ class ModalReceptance:
     left, right : complex arrays (k, n) and (n, m), C modes and modes^-1 B
     static : array (n, n), the inverse of M_0
     rest_ports, rest_outputs : arrays (k, m) and (k, n), C M_0^-1 B and C M_0^-1
+    least_damping : float, smallest distance of a pole from the imaginary axis
     error : float, 0: nothing but rounding
     """
 
@@ -92,6 +93,7 @@ class ModalReceptance:
     right: np.ndarray
     rest_ports: np.ndarray
     rest_outputs: np.ndarray
+    least_damping: float
     error: ClassVar[float] = 0.0
 
     def stiffness(self, k: np.ndarray) -> np.ndarray:
@@ -131,7 +133,7 @@ class ModalReceptance:
             return part.C @ self.solve(s, part.B, power)
         left, right = self.left, self.right
         gap = s[:, None] - self.poles
-        if np.any(np.abs(gap) <= _RESONANCE * np.abs(s[:, None])):
+        if self.least_damping <= _RESONANCE * np.abs(s[-1]) and np.any(np.abs(gap) <= _RESONANCE * np.abs(s[:, None])):
             raise SingularLinearPart(
                 f"an undamped mode that no nonlinear port reaches resonates at {np.abs(s).min():.6g} rad per unit time "
                 "or a harmonic of it, so no periodic orbit exists; add damping or move the frequency"
@@ -175,5 +177,5 @@ def receptance(part: LinearPart, forcing: np.ndarray | None = None, reduce: bool
     static = np.linalg.inv(at_rest)
     return ModalReceptance(
         part, shifted, static, poles if modal else None, modes, inverse, C @ modes, inverse @ B,
-        C @ static @ B, C @ static,
+        C @ static @ B, C @ static, float(np.abs(poles.real).min()),
     )  # fmt: skip

@@ -63,7 +63,7 @@ def operator(
     lead = 0 if half else k
     out = np.empty((lead + 2 * rows * k, lead + 2 * width * k))
     diagonal = np.arange(min(K, columns))
-    own = np.einsum("kam,kmb->kab", transfer, shift)[: len(diagonal)]
+    own = (transfer * shift if k == m == 1 else transfer @ shift)[: len(diagonal)]
     for i, j in np.ndindex(k, k):
         P = Q = np.zeros((K, columns), dtype=complex)
         for port in range(m):

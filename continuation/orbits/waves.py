@@ -19,10 +19,9 @@ class Waves:
         self.Y = stack(spectra) if ports.smooth else np.zeros((len(orbits), 1, ports.outputs))
         self.patterns, self.gains, self.d = [], [], []
         for i, contact in enumerate(problem.system.contacts):
-            arguments = [problem.forces.argument(i, Y, v) for Y, v in zip(spectra, self.vectors, strict=True)]
-            for argument, Y, v in zip(arguments, spectra, self.vectors, strict=True):
-                problem.forces.check_rest(i, argument, Y, v)
-            self.patterns.append(_padded(series.find_patterns(stack(arguments), contact)))
+            arguments = stack([problem.forces.argument(i, Y, v) for Y, v in zip(spectra, self.vectors, strict=True)])
+            problem.forces.check_rests(i, arguments, spectra, self.vectors)
+            self.patterns.append(_padded(series.find_patterns(arguments, contact)))
             self.gains.append(stack([ports.forcing(v).gain[i].T for v in self.vectors]))
             self.d.append(np.array([ports.linear(v).d[i] for v in self.vectors]))
 

@@ -1,0 +1,260 @@
+"""The harmonic-balance operator of many harmonics, solved through its low ones by Fourier transforms, no matrix made.
+
+The receptance falls with the order, so that above some harmonic K the operator ``Y_k - T_k (slope Y + S Y)_k`` is its
+diagonal plus something small. One sweep solves the low harmonics, with all borders, by a dense factorisation, and the
+high ones by their diagonal; the residual of the whole operator, a product by Fourier transforms, says what is left. A
+sweep takes off two digits or more, against the cube of the number of harmonics of a dense factorisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sl
+
+from continuation.orbits.spectrum import operator
+
+LEAST = 100  # harmonics from which the dense operator costs more
+_SMALL = 0.1  # norm of what couples the high harmonics to others, below which sweeps converge fast
+_LOWEST = 31
+_SWEEPS = 40
+_LIMIT = 1e-10  # residual, relative to the right-hand side, above which the sweeps have failed
+
+Array = np.ndarray
+
+
+class BalanceOperator:
+    """``Y -> Y_k - T_k ((slope Y)_k + S_k Y_k)`` on packed harmonics, and its transpose.
+
+    Parameters
+    ----------
+    transfer : complex array (K, k, m)
+        Receptance at the harmonics 0..K-1, or 1/2, 3/2, .. when ``half``.
+    slope : complex array (2L+1, m, k)
+        Two-sided Fourier coefficients of the port slope, L at least the largest sum of orders.
+    shift : complex array (K, m, k)
+    half : bool
+        Half-integer orders: the operator of multiplier -1.
+    low : int
+        Number of harmonics (K of them or fewer) that are solved for densely.
+    """
+
+    def __init__(self, transfer: Array, slope: Array, shift: Array, half: bool, low: int) -> None:
+        self.transfer, self.slope, self.shift, self.half, self.low = transfer, slope, shift, half, low
+        K, k, _ = transfer.shape
+        self.size = (2 * K - (not half)) * k
+        keep = np.zeros((K, k), dtype=bool)
+        keep[:low] = True
+        self.kept = np.flatnonzero(np.concatenate([keep[0 if half else 1 :].ravel()] * 2))
+        if not half:
+            self.kept = np.concatenate([np.arange(k), k + self.kept])
+        self._grid = 1 << (4 * K - 1).bit_length()
+        L = len(slope) // 2
+        reach = min(L, 2 * K)
+        two_sided = np.zeros((self._grid, *slope.shape[1:]), dtype=complex)
+        two_sided[: reach + 1], two_sided[-reach:] = slope[L : L + reach + 1], slope[L - reach : L]
+        self._values = np.fft.ifft(two_sided, axis=0).real * self._grid  # (M, m, k)
+        self._turn = np.exp(0.5j * (2 * np.pi / self._grid) * np.arange(self._grid))[:, None, None]
+        own = np.eye(k) - transfer[low:] @ (slope[L] + shift[low:])
+        self._inverse = np.linalg.inv(own) if k > 1 else 1 / own
+
+    @property
+    def coupling(self) -> float:
+        """Bound of what couples a high harmonic to others."""
+        size = np.linalg.norm(self.transfer[self.low :], axis=(1, 2)).max(initial=0.0)
+        middle = len(self.slope) // 2
+        return float(size * np.linalg.norm(self._values - self.slope[middle].real, axis=(1, 2)).max(initial=0.0))
+
+    # ---------------------------------------------------------------- products
+    def unpack(self, x: Array) -> Array:
+        """Return complex harmonics (K, k, c) of packed columns (N, c), without the factor sqrt 2 of the packing."""
+        K, k, _ = self.transfer.shape
+        c = x.shape[1]
+        if self.half:
+            return (x[: K * k] + 1j * x[K * k :]).reshape(K, k, c)
+        H = K - 1
+        Y = np.empty((K, k, c), dtype=complex)
+        Y[0] = x[:k] * np.sqrt(2.0)
+        Y[1:] = (x[k : k + H * k] + 1j * x[k + H * k :]).reshape(H, k, c)
+        return Y
+
+    def pack(self, Y: Array) -> Array:
+        """Return packed columns of complex harmonics; the inverse of :meth:`unpack`."""
+        K, k, c = Y.shape
+        if self.half:
+            flat = Y.reshape(K * k, c)
+            return np.concatenate([flat.real, flat.imag])
+        flat = Y[1:].reshape((K - 1) * k, c)
+        return np.concatenate([Y[0].real / np.sqrt(2.0), flat.real, flat.imag])
+
+    def _samples(self, Y: Array) -> Array:
+        """Return the values (M, k, c) of waveforms on the grid, up to a factor that :meth:`_spectrum` takes off."""
+        if self.half:
+            return np.asarray((np.fft.ifft(Y, self._grid, axis=0) * self._turn).real)
+        return np.fft.irfft(Y, self._grid, axis=0)
+
+    def _spectrum(self, values: Array) -> Array:
+        K = len(self.transfer)
+        if self.half:
+            return np.fft.fft(2 * values / self._turn, axis=0)[:K]
+        return np.fft.rfft(values, axis=0)[:K]
+
+    def times(self, x: Array) -> Array:
+        """Return the product (N, c) with columns (N, c); cost two Fourier transforms."""
+        Y = self.unpack(x)
+        load = self._spectrum(_product(self._values, self._samples(Y))) + _product(self.shift, Y)
+        return x - self.pack(_product(self.transfer, load))
+
+    def transposed_times(self, x: Array) -> Array:
+        """Return the product of the transpose with columns (N, c)."""
+        V = _product(self.transfer.conj().transpose(0, 2, 1), self.unpack(x))
+        back = self._spectrum(_product(self._values.transpose(0, 2, 1), self._samples(V)))
+        return x - self.pack(back + _product(self.shift.conj().transpose(0, 2, 1), V))
+
+    def diagonal(self, x: Array, transposed: bool) -> Array:
+        """Return the columns with the high harmonics solved by their diagonal, the low ones 0."""
+        Y = self.unpack(x)
+        inverse = self._inverse.conj().transpose(0, 2, 1) if transposed else self._inverse
+        Y[self.low :] = _product(inverse, Y[self.low :])
+        Y[: self.low] = 0.0
+        return self.pack(Y)
+
+    @cached_property
+    def block(self) -> Array:
+        """The dense operator on the low harmonics."""
+        return operator(self.transfer[: self.low], self.slope, self.shift[: self.low], self.low, self.half)
+
+    def dense(self) -> Array:
+        """Return the whole operator as a matrix (N, N)."""
+        return operator(self.transfer, self.slope, self.shift, len(self.transfer), self.half)
+
+
+def _product(a: Array, b: Array) -> Array:
+    return a * b if a.shape[1:] == (1, 1) else a @ b
+
+
+@dataclass(frozen=True, eq=False)
+class SplitMatrix:
+    """A balance operator with borders, ``[[A, columns], [rows, corner]]``; an array where one is asked for."""
+
+    inner: BalanceOperator
+    columns: Array
+    rows: Array
+    corner: Array
+    ndim: int = field(default=2, init=False)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, the borders included."""
+        n = self.inner.size + len(self.corner)
+        return n, n
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        dense = np.block([[self.inner.dense(), self.columns], [self.rows, self.corner]])
+        return dense if dtype is None else dense.astype(dtype)
+
+    def bordered(self, columns: Array, rows: Array, corner: Array) -> SplitMatrix:
+        """Return the matrix with further columns (n, b), rows (b, n) and a corner (b, b)."""
+        n = self.inner.size
+        return SplitMatrix(
+            self.inner,
+            np.hstack([self.columns, columns[:n]]),
+            np.vstack([self.rows, rows[:, :n]]),
+            np.block([[self.corner, columns[n:]], [rows[:, n:], corner]]),
+        )
+
+    @property
+    def low(self) -> Array:
+        """Places of the low harmonics and of the borders."""
+        return np.append(self.inner.kept, self.inner.size + np.arange(len(self.corner)))
+
+    def factors(self) -> SplitFactors | None:
+        """Return the factors, None where those of the low harmonics with the borders are singular."""
+        kept = self.inner.kept
+        block = np.block([[self.inner.block, self.columns[kept]], [self.rows[:, kept], self.corner]])
+        lu, pivots, info = sl.lapack.dgetrf(np.asfortranarray(block), overwrite_a=True)
+        return SplitFactors(self, lu, pivots) if info == 0 else None
+
+    def times(self, x: Array, transposed: bool = False) -> Array:
+        """Return the product with columns (n, c)."""
+        n = self.inner.size
+        right, low = (self.rows.T, self.columns.T) if transposed else (self.columns, self.rows)
+        corner = self.corner.T if transposed else self.corner
+        product = self.inner.transposed_times(x[:n]) if transposed else self.inner.times(x[:n])
+        return np.concatenate([product + right @ x[n:], low @ x[:n] + corner @ x[n:]])
+
+
+class SplitFactors:
+    """Dense factors of the low harmonics and borders of a SplitMatrix, by which the whole is solved in sweeps."""
+
+    def __init__(self, matrix: SplitMatrix, lu: Array, pivots: Array) -> None:
+        self.matrix, self._lu, self._pivots = matrix, lu, pivots
+
+    @property
+    def sign(self) -> float:
+        """Sign of the determinant of the low block: that of the whole, but within truncation of a zero."""
+        return _sign(self._lu, self._pivots)
+
+    def solve(self, right: Array, transposed: bool = False, accuracy: float = 1e-13) -> Array:
+        """Return the solution (n, c) for right-hand sides (n, c) or (n,), its residual below an accuracy.
+
+        Should the sweeps not converge, the whole matrix is factorised.
+        """
+        if right.ndim == 1:
+            return self.solve(right[:, None], transposed, accuracy)[:, 0]
+        found = self._swept(right, transposed, accuracy)
+        if found is None:
+            lu, pivots, _ = sl.lapack.dgetrf(np.asfortranarray(self.matrix), overwrite_a=True)
+            found = sl.lapack.dgetrs(lu, pivots, right, trans=int(transposed))[0]
+        return np.asarray(found)
+
+    def _swept(self, right: Array, transposed: bool, accuracy: float) -> Array | None:
+        matrix, inner = self.matrix, self.matrix.inner
+        n, at = inner.size, matrix.low
+        x, left = np.zeros_like(right), right
+        scale = np.linalg.norm(right, axis=0)
+        scale[scale == 0] = 1.0
+        before = np.inf
+        for _ in range(_SWEEPS):
+            size = float((np.linalg.norm(left, axis=0) / scale).max())
+            if size < accuracy or (size > before / 4 and size < _LIMIT):
+                return x
+            if not size < 4 * before:
+                return None
+            before = size
+            step = np.zeros_like(right)
+            step[at] = sl.lapack.dgetrs(self._lu, self._pivots, left[at], trans=int(transposed))[0]
+            left = left - matrix.times(step, transposed)
+            high = np.zeros_like(right)
+            high[:n] = inner.diagonal(left[:n], transposed)
+            x += step + high
+            left = right - matrix.times(x, transposed)
+        return None
+
+
+def _sign(lu: Array, pivots: Array) -> float:
+    swaps = int(np.count_nonzero(pivots != np.arange(len(pivots))))
+    return float(np.prod(np.sign(np.diag(lu)))) * (-1.0) ** swaps
+
+
+def split(transfer: Array, slope: Array, shift: Array, half: bool) -> SplitMatrix | None:
+    """Return the operator for solution through its low harmonics, None where a dense one is no worse."""
+    K = len(transfer)
+    if K < LEAST:
+        return None
+    steep = np.abs(slope).max() * 4
+    size = np.linalg.norm(transfer, axis=(1, 2))
+    large = np.flatnonzero(size * steep > _SMALL)
+    needed = int(large[-1]) + 1 if large.size else 1
+    low = max(_LOWEST, needed) + 1
+    if low > K // 2:
+        return None
+    n = BalanceOperator(transfer, slope, shift, half, low)
+    empty = np.zeros((n.size, 0))
+    return SplitMatrix(n, empty, empty.T, np.zeros((0, 0)))
