@@ -32,28 +32,19 @@ def analyse(
     began: float,
     progress: Callable[[float, str], None] | None,
     functions: Functions | None = None,
+    special_points: bool = True,
 ) -> Branch:
     """Return the Branch of corrected nodes with located special points, zeros of user functions among them."""
-    notes: list[str] = []
+    notes: list[str] = [] if special_points else ["special points were not looked for"]
     located: list[Located] = []
-    try:
-        if progress is not None:
-            progress(1.0, f"{len(nodes)} orbits; searching special points")
-        if len(nodes) > 1:
-            nodes, suspects, notes = screen(problem, nodes, metric)
-            notes += _vertical(problem, nodes, metric)
-            for suspect in _with_turns(problem, nodes, metric, suspects):
-                _sort(locate(suspect), located, notes)
-            if functions:
-                nodes, zeros, open_ = search_functions(problem, nodes, metric, functions)
-                located += zeros
-                notes += open_
-            touches, open_ = search(problem, nodes, metric)
-            notes += open_
-            for touch in touches:
-                _sort(locate_touch(touch), located, notes)
-    except KeyboardInterrupt:
-        stop += "; interrupted while special points were searched: the orbits are kept, points may be missing"
+    nodes = list(nodes)
+    if special_points and len(nodes) > 1:
+        try:
+            if progress is not None:
+                progress(1.0, f"{len(nodes)} orbits; searching special points")
+            _search(problem, nodes, metric, functions or {}, located, notes)
+        except KeyboardInterrupt:
+            stop += "; interrupted while special points were searched: the orbits are kept, points may be missing"
     place = {id(n): i for i, n in enumerate(nodes)}
     nodes = [n if np.isfinite(n.error) else replace(n, error=problem.adapt(n.u, n.p)[1]) for n in nodes]
     located = _once(located, metric)
@@ -76,8 +67,27 @@ def analyse(
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    notes += _unexplained(path, points, problem.system.autonomous)
+    if special_points:
+        notes += _unexplained(path, points, problem.system.autonomous)
     return Branch(tuple(path), tuple(points), stop, work, provenance, tuple(dict.fromkeys(notes)))
+
+
+def _search(
+    problem: Any, nodes: list[Node], metric: Metric, functions: Functions, located: list[Located], notes: list[str]
+) -> None:
+    """Insert nodes, and add points found and notes to the lists, so that an interruption keeps them."""
+    nodes[:], suspects, unresolved = screen(problem, nodes, metric)
+    notes += unresolved + _vertical(problem, nodes, metric)
+    for suspect in _with_turns(problem, nodes, metric, suspects):
+        _sort(locate(suspect), located, notes)
+    if functions:
+        nodes[:], zeros, unresolved = search_functions(problem, nodes, metric, functions)
+        located += zeros
+        notes += unresolved
+    touches, unresolved = search(problem, nodes, metric)
+    notes += unresolved
+    for touch in touches:
+        _sort(locate_touch(touch), located, notes)
 
 
 def _sort(found: Located | str, located: list[Located], notes: list[str]) -> None:

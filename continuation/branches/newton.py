@@ -13,7 +13,7 @@ from continuation.branches.sparse_bordered import solve_bordered
 from continuation.errors import IntegrationFailed, NoConvergence, UnsupportedModel
 
 _STEP = 1e-8  # a step below this (relative) is the last: convergence is quadratic
-_LINEAR = 1e-11  # accuracy of the linear equations where they are solved by iteration: that of a step and a tangent
+_LINEAR = 1e-8  # accuracy of the linear equations where they are solved by iteration: that of a step and a tangent
 _HALVINGS = 6
 _NEAR = 1e6  # accuracies up to which a first step may be followed by a chord step
 _RATE = 0.02  # largest ratio of both

@@ -30,6 +30,7 @@ from continuation.branches.newton import size_of
 from continuation.errors import UnsupportedModel
 from continuation.orbits import contact_series as series
 from continuation.orbits.curvature import Curvature
+from continuation.orbits.port_force import trimmed
 from continuation.orbits.shifted import ShiftedOperator, Wave, as_vector, as_wave, receptances, states
 from continuation.orbits.spectrum import unpack
 from continuation.orbits.split_operator import SplitMatrix
@@ -48,13 +49,16 @@ def coefficient(system: ExtendedProblem, U: np.ndarray, q: float = 0.0) -> float
     """
     outer = system.at(q)
     u, p, nu = system.split(U)
-    null = system.null(U, q)
     problem = getattr(outer, "inner", outer)
     if not hasattr(problem, "half_operator"):
         raise UnsupportedModel("normal forms are computed by harmonic balance")
     u = outer.split(u) if outer is not problem else u
     M = ShiftedOperator(problem, u, p, nu)
     k = problem.ports.outputs
+    changes = any(pattern.phases.size for pattern in _patterns(problem, M))
+    if not changes and not problem.ports.smooth:
+        return 0.0  # linear along the orbit
+    null = system.null(U, q)
     v = as_wave(null.v, k, nu)
     x = _state(M, v)
     scale = 1 / float(np.linalg.norm(x))
@@ -64,9 +68,6 @@ def coefficient(system: ExtendedProblem, U: np.ndarray, q: float = 0.0) -> float
     left = as_wave(null.w, k, nu)
     adjoint, Y = M.adjoint(left), M.Y
     G = M.shift_derivative(left, M.load(v))
-    changes = any(pattern.phases.size for pattern in _patterns(problem, M))
-    if not changes and not problem.ports.smooth:
-        return 0.0  # linear along the orbit
     if changes and system.kind != "fold":
         v, adjoint, Y = _longer(M, v, adjoint)
     curvature = Curvature(problem, Y, M.vector)
@@ -123,8 +124,8 @@ def _reach(harmonics: int) -> int:
 
 
 def _patterns(problem: Any, M: ShiftedOperator) -> list[series.ContactPattern]:
-    contacts = enumerate(problem.system.contacts)
-    return [series.find_pattern(problem.forces.argument(i, M.Y, M.vector), c) for i, c in contacts]
+    forces = problem.forces
+    return [forces.pattern(i, trimmed(forces.argument(i, M.Y, M.vector))) for i in range(len(problem.system.contacts))]
 
 
 def _longer(M: ShiftedOperator, v: Wave, adjoint: Wave) -> tuple[Wave, Wave, np.ndarray]:

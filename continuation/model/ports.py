@@ -33,9 +33,11 @@ from continuation.model.linear_part import (
     pivots,
 )
 from continuation.model.port_law import PortLaw
+from continuation.model.recent import Recent
 from continuation.model.system import System
 
 _SAMPLES = 12
+_PARTS, _FEW = 256, 64  # linear parts that are kept of Systems with as few states
 
 
 class Ports:
@@ -87,7 +89,8 @@ class Ports:
         self._build_functions(theta, p)
         self._check_structure()
         self._slope: np.ndarray | None = None
-        self._cache: dict[str, tuple[np.ndarray, bytes, Any]] = {}
+        self._parts: Recent[LinearPart] = Recent(_PARTS if len(system.state_names) <= _FEW else 1)
+        self._last: tuple[np.ndarray, LinearPart] | None = None
 
     def _sort_contacts(self) -> None:
         s, count = self.system, range(len(self.system.contacts))
@@ -289,7 +292,8 @@ class Ports:
     def hold(self, S: np.ndarray) -> None:
         """Use a reference slope S (m, k) as long as it serves."""
         if S.shape == (self.inputs, self.outputs):
-            self._slope = S
+            self._slope, self._last = S, None
+            self._parts.clear()
 
     def linear_moves(self, index: int) -> bool:
         """Whether the linear part (A, B, C) depends on a parameter."""
@@ -307,20 +311,13 @@ class Ports:
 
     def linear(self, p: np.ndarray) -> LinearPart:
         """Return the linear part at p (kept while only parameters change that it does not depend on)."""
-        return self._cached("linear", p, self._linear_depends, self._make_linear)
+        if self._last is None or self._last[0] is not p:  # the same array object, the common case in one Newton step
+            self._last = p, self._parts.get(p[self._linear_depends].tobytes(), lambda: self._make_linear(p))
+        return self._last[1]
 
     def forcing(self, p: np.ndarray) -> Forcing:
         """Return the Fourier coefficients of forcing, contact gains and contact offsets at p (kept likewise)."""
         return self.excitation(p)
-
-    def _cached(self, name, p, depends, make):  # type: ignore[no-untyped-def]
-        found = self._cache.get(name)
-        if found is not None and found[0] is p:  # the same array object, the common case inside one Newton step
-            return found[2]
-        tag = p[depends].tobytes()
-        value = found[2] if found is not None and found[1] == tag else make(p)
-        self._cache[name] = (p, tag, value)
-        return value
 
     def _make_linear(self, p: np.ndarray) -> LinearPart:
         A = as_matrix(self._constant_at(p))
@@ -330,9 +327,8 @@ class Ports:
         if self._slope is None or conditioning(add_ports(A, B, -self._slope, C)) < 1e-9:
             self._slope = self._reference_slope(p, A, B, C, d)
         new = LinearPart(A, B, C, d, self._slope)
-        old = self._cache["linear"][2] if "linear" in self._cache else None
-        if old is not None and old.same(new):
-            return old  # the same object, so that what was made of it is kept
+        if self._last is not None and self._last[1].same(new):
+            return self._last[1]  # the same object, so that what was made of it is kept
         return new
 
     def _reference_slope(self, p: np.ndarray, A: Matrix, B: np.ndarray, C: np.ndarray, d: np.ndarray) -> np.ndarray:

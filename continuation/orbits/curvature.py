@@ -16,6 +16,7 @@ import numpy as np
 
 from continuation.errors import UnsupportedModel
 from continuation.orbits import contact_series as series
+from continuation.orbits.port_force import trimmed
 from continuation.orbits.shifted import CriticalForm, ShiftedOperator, Wave, as_wave
 from continuation.orbits.spectrum import pack
 
@@ -59,7 +60,7 @@ class Curvature:
     def _changes(self, i: int) -> Changes:
         ports, contact, n = self.problem.ports, self.problem.system.contacts[i], self.problem.period_multiple
         argument = self.problem.forces.argument(i, self.Y, self.vector)
-        pattern = series.find_pattern(argument, contact)
+        pattern = self.problem.forces.pattern(i, trimmed(argument))
         phases = pattern.phases
         rate = np.array([series.evaluate(argument, phases, d) for d in (1, 2)])
         jump = np.diff(np.array(contact.slopes)[pattern.modes]) * np.sign(rate[0])
@@ -212,7 +213,7 @@ class Curvature:
                     continue
                 out = np.zeros((2 * reach + 1, ports.inputs, ports.outputs), dtype=complex) if out is None else out
                 contact = self.problem.system.contacts[i]
-                pattern = series.find_pattern(self.problem.forces.argument(i, self.Y, self.vector), contact)
+                pattern = self.problem.forces.pattern(i, trimmed(self.problem.forces.argument(i, self.Y, self.vector)))
                 rigid = series.piecewise_spectrum(pattern, np.array(contact.slopes), reach + (factor.shape[-1] - 1) * n)
                 for row in range(ports.inputs):
                     out[:, row] += series.modulate(rigid, factor[row], n)[:, None] * direction

@@ -13,7 +13,7 @@ from continuation.orbits.near_fold import measures_error
 from continuation.orbits.spectrum import pack, unpack
 from continuation.orbits.split_operator import SplitMatrix
 
-_LINEAR = 1e-9  # accuracy of the linear equations where they are solved by iteration
+_LINEAR = 1e-6  # accuracy of the linear equations where they are solved by iteration
 _DIRECT = 50_000  # products of two coefficients from which Fourier transforms are faster
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from continuation.branches.bordered import Factors
 from continuation.branches.newton import size_of
 from continuation.model.ports import LinearPart, Ports
+from continuation.model.recent import Recent
 from continuation.model.system import System
 from continuation.orbits.curvature import critical_form
 from continuation.orbits.estimate import Estimate, estimate_error, finish, product, waveform_size
@@ -22,6 +23,7 @@ from continuation.orbits.spectrum import operator, pack, resize, unpack
 from continuation.orbits.split_operator import split
 
 _REMEMBERED = 1024  # error estimates kept
+_PARTS = 256  # linear parts of few states whose receptance is kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +111,9 @@ class HarmonicBalanceProblem:
         self.ports = Ports(system)
         self._index = system.parameter_names.index(parameter)
         self._frequency = system.parameter_names.index(system.frequency)
-        self._receptance: tuple[LinearPart, Receptance] | None = None
-        self._derived: tuple[LinearPart, Any] | None = None
+        most = 1 if self.ports.large else _PARTS
+        self._receptances: Recent[tuple[LinearPart, Receptance]] = Recent(most)  # by id: a part that is kept is alive
+        self._derived: Recent[tuple[LinearPart, Any]] = Recent(most)
         self._vector: tuple[float, np.ndarray] | None = None
         self._driven: tuple[np.ndarray, np.ndarray] | None = None
         self._last: tuple[np.ndarray, np.ndarray, Any, np.ndarray] | None = None
@@ -146,10 +149,11 @@ class HarmonicBalanceProblem:
     def receptance(self, p: float) -> Receptance:
         """Return the receptance at p, rebuilt only when the linear part changes."""
         part = self.ports.linear(self.vector(p))
-        if self._receptance is None or self._receptance[0] is not part:
-            forcing, reduce = self.ports.forcing(self.vector(p)).u, not self.ports.linear_moves(self._index)
-            self._receptance = (part, receptance(part, forcing, reduce))
-        return self._receptance[1]
+        return self._receptances.get(id(part), lambda: (part, self._make_receptance(part, p)))[1]
+
+    def _make_receptance(self, part: LinearPart, p: float) -> Receptance:
+        forcing, reduce = self.ports.forcing(self.vector(p)).u, not self.ports.linear_moves(self._index)
+        return receptance(part, forcing, reduce)
 
     @property
     def large(self) -> bool:
@@ -160,14 +164,13 @@ class HarmonicBalanceProblem:
         """Use the receptance of a problem of the same linear part at p, with its reference slope; cheap."""
         part = other.ports.linear(other.vector(p))
         self.ports.hold(part.S)
-        if self.ports.linear(self.vector(p)).same(part):
-            self._receptance = (self.ports.linear(self.vector(p)), other.receptance(p))
+        own = self.ports.linear(self.vector(p))
+        if own.same(part):
+            self._receptances.put(id(own), (own, other.receptance(p)))
 
     def remember(self, part: LinearPart, make: Callable[[LinearPart], Any]) -> Any:
-        """Return what was made of a linear part before, or make it; one such thing is kept per problem."""
-        if self._derived is None or self._derived[0] is not part:
-            self._derived = (part, make(part))
-        return self._derived[1]
+        """Return what was made of a linear part before, or make it; one such thing is kept per part."""
+        return self._derived.get(id(part), lambda: (part, make(part)))[1]
 
     def transfer(self, p: float, orders: np.ndarray) -> np.ndarray:
         """Return the port receptance (K, k, m) at harmonic orders (0 first, if there)."""

@@ -16,11 +16,13 @@ from continuation.errors import RestingContact, UnsupportedModel
 from continuation.model.linear_part import LinearPart
 from continuation.model.port_parameters import PortParameters
 from continuation.model.ports import Ports
+from continuation.model.recent import Recent
 from continuation.orbits import contact_series as series
 from continuation.orbits.quadrature import Harmonics, sample
 
 _Values = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 _REST = 1e-7  # largest way from a breakpoint, relative to the size of the orbit, that Newton's method does not resolve
+_KEPT = 16  # contact patterns that are remembered
 _FINEST = 2**17  # samples per period at most, for smooth laws
 
 
@@ -39,6 +41,7 @@ class PortForces:
         self.ports, self.period_multiple = ports, period_multiple
         self._samples = 64
         self._linear: tuple[LinearPart, float] | None = None
+        self._patterns: Recent[series.ContactPattern] = Recent(_KEPT)
 
     def __call__(self, Y: np.ndarray, vector: np.ndarray, last: int, reach: int) -> PortForce:
         """Return port force harmonics 0..last and slope orders -reach..reach along the waveform Y (H+1, k)."""
@@ -70,7 +73,7 @@ class PortForces:
             change, d = self.parameters.forcing(vector, index), self.parameters.argument_slopes(vector, index)
             for i in self.ports.closed:
                 moved = self._wave(change.offset[i], None if d is None else d[i], Y)
-                self._add_contact_change(i, Y, vector, W, change.gain[i], _trim(moved))
+                self._add_contact_change(i, Y, vector, W, change.gain[i], trimmed(moved))
         law = self.ports.law
         if law.depends(index):
             W += self.integrated(Y, vector, last, lambda y, theta, modes: law.change(y, theta, vector, index, modes).T)
@@ -112,6 +115,11 @@ class PortForces:
         spectrum[0] = spectrum[0].real
         return spectrum[: used[-1] + 1] if used.size else spectrum[:1]
 
+    def pattern(self, i: int, argument: np.ndarray) -> series.ContactPattern:
+        """Return the changes of contact i along its argument (half spectrum); the last ones are remembered."""
+        contact = self.ports.system.contacts[i]
+        return self._patterns.get((i, argument.tobytes()), lambda: series.find_pattern(argument, contact))
+
     def check_rests(self, i: int, arguments: np.ndarray, spectra: list[np.ndarray], vectors: list[np.ndarray]) -> None:
         """Do :meth:`check_rest` for several orbits, their arguments (N, K) padded to one length."""
         levels = np.array(self.ports.system.contacts[i].breakpoints)
@@ -149,8 +157,8 @@ class PortForces:
     def _add_contact(self, i: int, Y: np.ndarray, vector: np.ndarray, W: np.ndarray, slope: np.ndarray) -> None:
         contact, n = self.ports.system.contacts[i], self.period_multiple
         gain, d = self.ports.forcing(vector).gain[i], self.ports.linear(vector).d[i]
-        a = _trim(self.argument(i, Y, vector))
-        pattern = series.find_pattern(a, contact)
+        a = trimmed(self.argument(i, Y, vector))
+        pattern = self.pattern(i, a)
         last, reach, edge = len(W) - 1, len(slope) // 2, (gain.shape[-1] - 1) * n
         law, most = np.array([contact.slopes, contact.intercepts]).T, max(last + len(a) - 1, reach) + edge
         rigid, shift = series.piecewise_spectrum(pattern, law, most).T
@@ -169,8 +177,8 @@ class PortForces:
             return
         contact, n, last = self.ports.system.contacts[i], self.period_multiple, len(W) - 1
         gain = self.ports.forcing(vector).gain[i]
-        a = _trim(self.argument(i, Y, vector))
-        pattern = series.find_pattern(a, contact)
+        a = trimmed(self.argument(i, Y, vector))
+        pattern = self.pattern(i, a)
         edge = (max(gain.shape[-1], gain_change.shape[-1]) - 1) * n
         longest = last + max(len(a), len(moved)) - 1 + edge
         rigid = series.piecewise_spectrum(pattern, np.array(contact.slopes), longest)
@@ -223,8 +231,7 @@ class PortForces:
 
         Without any change the modes have shape (g, 1).
         """
-        patterns = [series.find_pattern(self.argument(i, Y, vector), self.ports.system.contacts[i])
-                    for i in self.ports.general]  # fmt: skip
+        patterns = [self.pattern(i, self.argument(i, Y, vector)) for i in self.ports.general]
         corners = np.unique(np.concatenate([np.zeros(0), *(p.phases for p in patterns)]))
         if not corners.size:
             return corners, np.array([p.modes[:1] for p in patterns], dtype=int)
@@ -284,7 +291,7 @@ def _times(two_sided: np.ndarray, wave: np.ndarray, last: int) -> np.ndarray:
     return np.convolve(two_sided[middle - reach : middle + last + reach + 1], both, mode="valid")
 
 
-def _trim(a: np.ndarray) -> np.ndarray:
+def trimmed(a: np.ndarray) -> np.ndarray:
     """Drop trailing harmonics that are exactly zero."""
     if a[-1] != 0:
         return a

@@ -6,13 +6,14 @@ module ``receptance_sparse``. Both answer the same calls.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from continuation.errors import SingularLinearPart
 from continuation.model.linear_part import LinearPart, conditioning
+from continuation.model.recent import Recent
 from continuation.orbits.receptance_sparse import HYSTERESIS, RIGID, RIGID_BODY, SparseReceptance
 
 _RESONANCE = 1e-13  # relative distance of a harmonic from a pole that counts as resonance
@@ -94,6 +95,7 @@ class ModalReceptance:
     rest_ports: np.ndarray
     rest_outputs: np.ndarray
     least_damping: float
+    _gains: Recent[np.ndarray] = field(default_factory=lambda: Recent(2), repr=False)
     error: ClassVar[float] = 0.0
 
     def stiffness(self, k: np.ndarray) -> np.ndarray:
@@ -114,7 +116,9 @@ class ModalReceptance:
 
     def seen(self, s: np.ndarray, load: np.ndarray, power: int = 1) -> np.ndarray:
         """Return ``C M(s)^-power load`` for s (K,), all nonzero, and load (K, n); shape (K, k)."""
-        return self.solve(s, load[..., None], power)[..., 0] @ self.part.C.T
+        if self.poles is None:
+            return self.solve(s, load[..., None], power)[..., 0] @ self.part.C.T
+        return ((load @ self.modes_inverse.T) / (s[:, None] - self.poles) ** power) @ self.left.T
 
     def at_rest(self, b: np.ndarray, power: int = 1) -> np.ndarray:
         """Return ``M_0^-power b`` for b (n,)."""
@@ -132,18 +136,22 @@ class ModalReceptance:
         if self.poles is None:
             return part.C @ self.solve(s, part.B, power)
         left, right = self.left, self.right
+        gain = self._gains.get(s.tobytes(), lambda: self._gain(s))  # power 2 is asked for after power 1
+        if power != 1:
+            gain = gain**power
+        if left.shape[0] == 1 and right.shape[1] == 1:
+            return (gain @ (left[0] * right[:, 0]))[:, None, None]
+        return (left * gain[:, None, :]) @ right
+
+    def _gain(self, s: np.ndarray) -> np.ndarray:
+        """Return 1 / (s - poles), shape (K, n)."""
         gap = s[:, None] - self.poles
         if self.least_damping <= _RESONANCE * np.abs(s[-1]) and np.any(np.abs(gap) <= _RESONANCE * np.abs(s[:, None])):
             raise SingularLinearPart(
                 f"an undamped mode that no nonlinear port reaches resonates at {np.abs(s).min():.6g} rad per unit time "
                 "or a harmonic of it, so no periodic orbit exists; add damping or move the frequency"
             )
-        gain = 1.0 / gap
-        if power != 1:
-            gain **= power
-        if left.shape[0] == 1 and right.shape[1] == 1:
-            return (gain @ (left[0] * right[:, 0]))[:, None, None]
-        return (left * gain[:, None, :]) @ right
+        return 1.0 / gap
 
 
 def receptance(part: LinearPart, forcing: np.ndarray | None = None, reduce: bool = True) -> Receptance:

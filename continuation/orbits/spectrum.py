@@ -78,10 +78,9 @@ def operator(
 def _tables(slope: np.ndarray, L: int, K: int, columns: int, half: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return Toeplitz and Hankel tables of two-sided coefficients as views: orders k - l, and k + l (+ 1 if half)."""
     slope = np.ascontiguousarray(slope)
-    stride = slope.strides[0]
-    view = np.lib.stride_tricks.as_strided
-    toeplitz = view(slope[L:], (K, columns), (stride, -stride), writeable=False)  # reaches back to L - columns + 1
-    hankel = view(slope[L + int(half) :], (K, columns), (stride, stride), writeable=False)
+    stride, shape = slope.itemsize, (K, columns)
+    toeplitz = np.ndarray(shape, slope.dtype, slope, L * stride, (stride, -stride))  # reaches back to L - columns + 1
+    hankel = np.ndarray(shape, slope.dtype, slope, (L + int(half)) * stride, (stride, stride))
     return toeplitz, hankel
 
 

@@ -46,11 +46,10 @@ class BalanceOperator:
         self.transfer, self.slope, self.shift, self.half, self.low = transfer, slope, shift, half, low
         K, k, _ = transfer.shape
         self.size = (2 * K - (not half)) * k
-        keep = np.zeros((K, k), dtype=bool)
-        keep[:low] = True
-        self.kept = np.flatnonzero(np.concatenate([keep[0 if half else 1 :].ravel()] * 2))
-        if not half:
-            self.kept = np.concatenate([np.arange(k), k + self.kept])
+        self.low_size = (2 * low - (not half)) * k
+        first = np.arange((low - (not half)) * k)  # of the real parts, without those of the mean
+        lead = 0 if half else k
+        self.kept = np.concatenate([np.arange(lead), lead + first, (lead + self.size) // 2 + first])
         self._grid = 1 << (4 * K - 1).bit_length()
         L = len(slope) // 2
         reach = min(L, 2 * K)
@@ -60,6 +59,7 @@ class BalanceOperator:
         self._turn = np.exp(0.5j * (2 * np.pi / self._grid) * np.arange(self._grid))[:, None, None]
         own = np.eye(k) - transfer[low:] @ (slope[L] + shift[low:])
         self._inverse = np.linalg.inv(own) if k > 1 else 1 / own
+        self._back, self._shift_back = transfer.conj().transpose(0, 2, 1), shift.conj().transpose(0, 2, 1)
 
     @property
     def coupling(self) -> float:
@@ -71,12 +71,12 @@ class BalanceOperator:
     # ---------------------------------------------------------------- products
     def unpack(self, x: Array) -> Array:
         """Return complex harmonics (K, k, c) of packed columns (N, c), without the factor sqrt 2 of the packing."""
-        K, k, _ = self.transfer.shape
-        c = x.shape[1]
+        k, c = self.transfer.shape[1], x.shape[1]
         if self.half:
-            return (x[: K * k] + 1j * x[K * k :]).reshape(K, k, c)
-        H = K - 1
-        Y = np.empty((K, k, c), dtype=complex)
+            half = len(x) // 2
+            return (x[:half] + 1j * x[half:]).reshape(half // k, k, c)
+        H = (len(x) // k - 1) // 2
+        Y = np.empty((H + 1, k, c), dtype=complex)
         Y[0] = x[:k] * np.sqrt(2.0)
         Y[1:] = (x[k : k + H * k] + 1j * x[k + H * k :]).reshape(H, k, c)
         return Y
@@ -102,25 +102,26 @@ class BalanceOperator:
             return np.fft.fft(2 * values / self._turn, axis=0)[:K]
         return np.fft.rfft(values, axis=0)[:K]
 
-    def times(self, x: Array) -> Array:
-        """Return the product (N, c) with columns (N, c); cost two Fourier transforms."""
-        Y = self.unpack(x)
-        load = self._spectrum(_product(self._values, self._samples(Y))) + _product(self.shift, Y)
-        return x - self.pack(_product(self.transfer, load))
+    def applied(self, Y: Array, transposed: bool = False) -> Array:
+        """Return the operator or its transpose applied to harmonics (K, k, c); cost two Fourier transforms."""
+        if transposed:
+            V = _product(self._back, Y)
+            load = self._spectrum(_product(self._values.transpose(0, 2, 1), self._samples(V)))
+            return np.asarray(Y - load - _product(self._shift_back, V))
+        load = self._spectrum(_product(self._values, self._samples(Y)))
+        return np.asarray(Y - _product(self.transfer, load + _product(self.shift, Y)))
 
-    def transposed_times(self, x: Array) -> Array:
-        """Return the product of the transpose with columns (N, c)."""
-        V = _product(self.transfer.conj().transpose(0, 2, 1), self.unpack(x))
-        back = self._spectrum(_product(self._values.transpose(0, 2, 1), self._samples(V)))
-        return x - self.pack(back + _product(self.shift.conj().transpose(0, 2, 1), V))
-
-    def diagonal(self, x: Array, transposed: bool) -> Array:
-        """Return the columns with the high harmonics solved by their diagonal, the low ones 0."""
-        Y = self.unpack(x)
+    def high(self, Y: Array, transposed: bool) -> Array:
+        """Return the harmonics from ``low`` on, solved by their diagonal, (K - low, k, c)."""
         inverse = self._inverse.conj().transpose(0, 2, 1) if transposed else self._inverse
-        Y[self.low :] = _product(inverse, Y[self.low :])
-        Y[: self.low] = 0.0
-        return self.pack(Y)
+        return _product(inverse, Y[self.low :])
+
+    def weighted(self, Y: Array) -> Array:
+        """Return harmonics (K, k, c) as rows (c, K k) whose real product with others is that of packed vectors."""
+        W = Y.conj()
+        if not self.half:
+            W[0] /= 2.0
+        return W.reshape(Y.shape[0] * Y.shape[1], Y.shape[2]).T
 
     @cached_property
     def block(self) -> Array:
@@ -169,11 +170,6 @@ class SplitMatrix:
             np.block([[self.corner, columns[n:]], [rows[:, n:], corner]]),
         )
 
-    @property
-    def low(self) -> Array:
-        """Places of the low harmonics and of the borders."""
-        return np.append(self.inner.kept, self.inner.size + np.arange(len(self.corner)))
-
     def factors(self) -> SplitFactors | None:
         """Return the factors, None where those of the low harmonics with the borders are singular."""
         kept = self.inner.kept
@@ -183,10 +179,10 @@ class SplitMatrix:
 
     def times(self, x: Array, transposed: bool = False) -> Array:
         """Return the product with columns (n, c)."""
-        n = self.inner.size
+        n, inner = self.inner.size, self.inner
         right, low = (self.rows.T, self.columns.T) if transposed else (self.columns, self.rows)
         corner = self.corner.T if transposed else self.corner
-        product = self.inner.transposed_times(x[:n]) if transposed else self.inner.times(x[:n])
+        product = inner.pack(inner.applied(inner.unpack(x[:n]), transposed))
         return np.concatenate([product + right @ x[n:], low @ x[:n] + corner @ x[n:]])
 
 
@@ -216,26 +212,41 @@ class SplitFactors:
 
     def _swept(self, right: Array, transposed: bool, accuracy: float) -> Array | None:
         matrix, inner = self.matrix, self.matrix.inner
-        n, at = inner.size, matrix.low
-        x, left = np.zeros_like(right), right
+        n, low, kept = inner.size, inner.low, inner.low_size
+        sides = [inner.unpack(side) for side in (matrix.columns, matrix.rows.T)]
+        column, row = sides[:: -1 if transposed else 1]
+        weights, corner = inner.weighted(row), matrix.corner.T if transposed else matrix.corner
+        left, rest = inner.unpack(right[:n]), right[n:].copy()  # what is left of the right-hand side
+        Y, x = np.zeros_like(left), np.zeros_like(rest)
         scale = np.linalg.norm(right, axis=0)
         scale[scale == 0] = 1.0
         before = np.inf
         for _ in range(_SWEEPS):
-            size = float((np.linalg.norm(left, axis=0) / scale).max())
+            size = float((np.sqrt(_squares(left) + (rest**2).sum(axis=0)) / scale).max())
             if size < accuracy or (size > before / 4 and size < _LIMIT):
-                return x
+                return np.concatenate([inner.pack(Y), x])
             if not size < 4 * before:
                 return None
             before = size
-            step = np.zeros_like(right)
-            step[at] = sl.lapack.dgetrs(self._lu, self._pivots, left[at], trans=int(transposed))[0]
-            left = left - matrix.times(step, transposed)
-            high = np.zeros_like(right)
-            high[:n] = inner.diagonal(left[:n], transposed)
-            x += step + high
-            left = right - matrix.times(x, transposed)
+            given = np.concatenate([inner.pack(left[:low]), rest])
+            found = sl.lapack.dgetrs(self._lu, self._pivots, given, trans=int(transposed))[0]
+            step = np.zeros_like(left)
+            step[:low] = inner.unpack(found[:kept])
+            flat = step.reshape(-1, step.shape[2])
+            left = left - inner.applied(step, transposed) - column @ found[kept:]
+            rest -= (weights @ flat).real + corner @ found[kept:]
+            high = np.zeros_like(left)
+            high[low:] = inner.high(left, transposed)
+            left -= inner.applied(high, transposed)
+            rest -= (weights @ high.reshape(flat.shape)).real
+            Y += step + high
+            x += found[kept:]
         return None
+
+
+def _squares(Y: Array) -> Array:
+    """Return the sums (c,) of squares of harmonics (K, k, c)."""
+    return np.asarray((Y.real**2 + Y.imag**2).sum(axis=(0, 1)))
 
 
 def _sign(lu: Array, pivots: Array) -> float:

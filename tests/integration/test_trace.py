@@ -288,3 +288,19 @@ def test_orbit_at_a_fold_has_a_useful_error(backlash):
 def test_multiplier_at_a_point_is_the_critical_one(backlash):
     for q in backlash.special_points:
         assert (np.abs(q.multipliers - 1).min() < 1e-4) == (q.kind == "fold")
+
+
+def test_a_branch_without_its_special_points_is_the_same_branch_and_says_so():
+    problem = HarmonicBalance(harmonics=7).discretise(rs.duffing(), "omega")
+    start = problem.guess(omega=0.5)
+    whole, bare = (trace(problem, start, (0.5, 2.0), special_points=wanted) for wanted in (True, False))
+    assert whole.special_points
+    assert not bare.special_points
+    assert "special points were not looked for" in bare.unresolved
+    for orbit in bare.orbits:
+        other = min(whole.orbits, key=lambda o: abs(o.value - orbit.value) + abs(o.rms("x") - orbit.rms("x")))
+        assert orbit.value == pytest.approx(other.value, abs=1e-9)
+        assert orbit.stability == other.stability
+        assert orbit.multipliers == pytest.approx(other.multipliers, abs=1e-6)
+    with pytest.raises(ValueError, match="functions: their zeros are special points"):
+        trace(problem, start, (0.5, 2.0), functions={"f": lambda orbit: 1.0}, special_points=False)
