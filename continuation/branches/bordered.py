@@ -74,7 +74,9 @@ def bordered_factors(J: Any, column: np.ndarray, row: np.ndarray) -> Factors | N
     """
     n = len(column)
     if isinstance(J, SplitMatrix):
-        return J.bordered(np.append(column, 0.0)[:n, None], row[None, :n], row[None, n:]).factors()
+        split = J.bordered(column[:, None], row[None, :n], row[None, n:])
+        factors = split.factors()  # None where the low harmonics alone are singular, which the whole need not be
+        return lu_of(np.asfortranarray(split)) if factors is None else factors
     matrix = np.empty((n + 1, n + 1), dtype=np.result_type(J, column, row), order="F")
     matrix[:n, :n], matrix[:n, n], matrix[n] = J, column, row
     return lu_of(matrix)

@@ -215,7 +215,7 @@ def _solved(J: Any, right: np.ndarray) -> np.ndarray:
     """Return the solution (N,) for a Jacobian, dense, sparse or split."""
     if sp.issparse(J):
         return np.asarray(sp.linalg.spsolve(J, right))
-    factors = J.factors() if isinstance(J, SplitMatrix) else lu_of(np.array(J, order="F"))
+    factors = (J.factors() if isinstance(J, SplitMatrix) else None) or lu_of(np.array(J, order="F"))
     if factors is None:
         raise np.linalg.LinAlgError("the Jacobian is singular")
     return factors.solve(right)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from continuation.errors import ContinuationError
+from continuation.model.recent import Recent
 from continuation.orbits.contact_residual import contact_defect
 from continuation.orbits.floquet import distance, paired, verdict
 from continuation.orbits.harmonic_balance import HarmonicBalance
@@ -21,6 +22,7 @@ from continuation.orbits.shooting import Shooting
 INTEGRATION, STRIP, SYMMETRIC, SHOOTING = "integration", "Hill, strip", "Hill, symmetric", "shooting"
 _ROWS = 450  # of Hill's matrix in full: 0.6 s
 _MOST, _FEWEST = 31, 4  # harmonics of it, per excitation period of the orbit
+_COARSE = 63  # harmonics of the condensed equations, likewise, that bring an exponent near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,11 +168,20 @@ def _by_hill(problem: Any, u: np.ndarray, p: float) -> tuple[np.ndarray, np.ndar
     harmonics = min(_MOST * multiple, (_ROWS // n - 1) // 2)
     if harmonics < _FEWEST * multiple:
         raise ValueError(f"Hill's matrix of {n} states and {_FEWEST * multiple} harmonics has more than {_ROWS} rows")
-    condensed = CondensedHill(problem, u, p, max(len(u) // problem.ports.outputs // 2, _FEWEST * multiple))
-    turn = 2 * np.pi / problem.frequency(p)
-    strip, symmetric = hill_exponents(problem, u, p, harmonics)
-    improved = [np.array([condensed.correct(s, 8) for s in found]) for found in (strip, symmetric)]
-    return np.exp(improved[0] * turn), np.exp(improved[1] * turn)
+    own = max(len(u) // problem.ports.outputs // 2, _FEWEST * multiple)
+    coarse = CondensedHill(problem, u, p, min(own, _COARSE * multiple))
+    fine = CondensedHill(problem, u, p, own) if own > _COARSE * multiple else None
+    frequency = problem.frequency(p)
+    known: Recent[complex] = Recent(4 * n)  # both rules find the same exponents mostly
+
+    def improved(exponent: complex) -> complex:
+        s = coarse.correct(exponent, 8)
+        if fine is None or not np.isfinite(s):
+            return s
+        return known.get(complex(np.round(s / frequency, 8)), lambda: fine.correct(s, 2))
+
+    strip, symmetric = (np.array([improved(s) for s in found]) for found in hill_exponents(problem, u, p, harmonics))
+    return np.exp(strip * 2 * np.pi / frequency), np.exp(symmetric * 2 * np.pi / frequency)
 
 
 def _judged(

@@ -199,12 +199,12 @@ def _balance_matrix(problem: Any, u: np.ndarray, p: float) -> tuple[Any, np.ndar
     J, Fp = problem.linearised(u, p)
     if not problem.free:
         return J, Fp
-    n = len(u)
     direction = problem.phase_direction(u, p)
-    matrix = np.zeros((n + 1, n + 1))
-    matrix[:n, :n], matrix[n, :n] = J, direction / size_of(direction)
-    matrix[:n, n] = problem.parameter_derivative(u, p, problem.free) * problem.values[problem.free]
-    return matrix, np.append(Fp, 0.0)
+    row = direction / size_of(direction)
+    column = problem.parameter_derivative(u, p, problem.free) * problem.values[problem.free]
+    if isinstance(J, SplitMatrix):
+        return J.bordered(column[:, None], row[None], np.zeros((1, 1))), np.append(Fp, 0.0)
+    return np.block([[J, column[:, None]], [row[None], np.zeros((1, 1))]]), np.append(Fp, 0.0)
 
 
 def _of_receptance(problem: Any, u: np.ndarray, p: float, load: np.ndarray) -> float:

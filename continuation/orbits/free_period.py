@@ -24,6 +24,7 @@ from continuation.orbits.equilibrium import hopf
 from continuation.orbits.floquet import distance, verdict
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.shifted import CriticalForm
+from continuation.orbits.split_operator import SplitMatrix
 
 _SMALL = 0.03  # of the largest amplitude of a branch, below which its end at an equilibrium is looked for
 _FALLEN = 1e-6  # of the movement of the guess, below which a corrected orbit is an equilibrium
@@ -135,6 +136,8 @@ class FreePeriodProblem:
         column = self.inner.parameter_derivative(u, p, self._name) * self.frequency_of(U) / self._unit
         if sp.issparse(J):
             matrix: Any = sp.bmat([[J, column[:, None]], [direction[None], None]], format="csc")
+        elif isinstance(J, SplitMatrix):
+            matrix = J.bordered(column[:, None], direction[None], np.zeros((1, 1)))
         else:
             n = len(u)
             matrix = np.zeros((n + 1, n + 1))
@@ -224,7 +227,7 @@ class FreePeriodProblem:
         """Return a smooth function that vanishes at a multiplier -1."""
         return float(self.inner.flip(self.split(U), p))
 
-    def critical_operator(self, U: np.ndarray, p: float, nu: float) -> np.ndarray:
+    def critical_operator(self, U: np.ndarray, p: float, nu: float) -> Any:
         """Return the operator that is singular at a nontrivial multiplier exp(2 pi i nu); see the inner method.
 
         For nu = 0 it is ``[[M - I, f], [f, 0]]`` with the flow direction f: M has the multiplier 1 twice where it is
@@ -237,7 +240,7 @@ class FreePeriodProblem:
         """
         u = self.split(U)
         if nu != 0.0:
-            return np.asarray(self.inner.critical_operator(u, p, nu))
+            return self.inner.critical_operator(u, p, nu)
         if not hasattr(self.inner, "start_gradient"):
             raise UnsupportedModel(
                 "folds of autonomous systems: their second derivatives are not offered by harmonic balance; use "

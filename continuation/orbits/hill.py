@@ -219,13 +219,24 @@ class _Equations:
         R = (flow.left * gain[..., None, :]) @ flow.right
         return R, -(flow.left * gain[..., None, :] ** 2) @ flow.right, gap, close
 
+    def _far(self, s: np.ndarray, orders: np.ndarray) -> np.ndarray:
+        """Return R (N, K, k, m) at many orders: mode by mode, so that little memory is passed through."""
+        flow, near = self.flow, 1 / (_NEAR * self.frequency[:, None])
+        at = s[:, None] + 1j * orders * self.frequency[:, None]
+        R = np.zeros((*at.shape, len(flow.left), flow.right.shape[1]), dtype=complex)
+        for pole, left, right in zip(flow.poles, flow.left.T, flow.right, strict=True):
+            gain = 1 / (at - pole)
+            gain[np.abs(gain) > near] = 0.0
+            R += gain[..., None, None] * np.outer(left, right)
+        return R
+
     def _tail(self, s: np.ndarray, wave: np.ndarray, push: np.ndarray) -> np.ndarray:
         """Return what the orders beyond K do to the determinant: they answer to those kept, and act back on them."""
         slope, K = self.slope, len(self.orders) // 2
         L, k = slope.shape[1] // 2, wave.shape[1]
         orders = np.concatenate([np.arange(K - L, -K), np.arange(K + 1, L - K + 1)])
         at = K + L + orders
-        R = self._receptance(s, orders)[0]
+        R = self._far(s, orders)
         load = _convolved(slope, wave, "nfbc,nfc->nfb")[:, at]
         answer = (R @ load[..., None])[..., 0]
         own = np.eye(k) - R @ slope[:, L, None]

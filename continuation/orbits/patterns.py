@@ -15,7 +15,8 @@ from continuation.orbits import contact_series as series
 Contacts = dict[str, tuple[np.ndarray, np.ndarray]]
 
 
-def contact_names(system: System) -> list[str]:
+@lru_cache(maxsize=16)
+def contact_names(system: System) -> tuple[str, ...]:
     """Return the names of the contacts of a System, numbered from 1 where several have the same.
 
     >>> import casadi as ca
@@ -24,11 +25,12 @@ def contact_names(system: System) -> list[str]:
     >>> stops = [Contact(argument=s * x, breakpoints=(1.0,), slopes=(0.0, 9.0), name="stop") for s in (1, -1)]
     >>> contact_names(System(name="s", states={"x": x, "v": v}, parameters={}, contacts=stops,
     ...                      derivatives={"x": v, "v": stops[1].force - stops[0].force - x}))
-    ['stop 1', 'stop 2']
+    ('stop 1', 'stop 2')
     """
     names = [c.name for c in system.contacts]
     several = {name for name, count in Counter(names).items() if count > 1}
-    return [f"{name} {names[: i + 1].count(name)}" if name in several else name for i, name in enumerate(names)]
+    numbered = (f"{name} {names[: i + 1].count(name)}" if name in several else name for i, name in enumerate(names))
+    return tuple(numbered)
 
 
 def contact_patterns(problem: Any, coefficients: np.ndarray, p: float) -> Contacts:

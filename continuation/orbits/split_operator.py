@@ -18,10 +18,10 @@ import scipy.linalg as sl
 from continuation.orbits.spectrum import operator
 
 LEAST = 100  # harmonics from which the dense operator costs more
-_SMALL = 0.1  # norm of what couples the high harmonics to others, below which sweeps converge fast
-_LOWEST = 31
+_SMALL = 0.5  # bound of what couples the high harmonics to others; it is far from sharp
+_LOWEST = 32
 _SWEEPS = 40
-_LIMIT = 1e-10  # residual, relative to the right-hand side, above which the sweeps have failed
+_ROUNDING = 1e-13  # residual, relative to the right-hand side or the solution, that sweeps need not go below
 
 Array = np.ndarray
 
@@ -56,17 +56,11 @@ class BalanceOperator:
         two_sided = np.zeros((self._grid, *slope.shape[1:]), dtype=complex)
         two_sided[: reach + 1], two_sided[-reach:] = slope[L : L + reach + 1], slope[L - reach : L]
         self._values = np.fft.ifft(two_sided, axis=0).real * self._grid  # (M, m, k)
-        self._turn = np.exp(0.5j * (2 * np.pi / self._grid) * np.arange(self._grid))[:, None, None]
+        if half:
+            self._turn = np.exp(0.5j * (2 * np.pi / self._grid) * np.arange(self._grid))[:, None, None]
         own = np.eye(k) - transfer[low:] @ (slope[L] + shift[low:])
         self._inverse = np.linalg.inv(own) if k > 1 else 1 / own
         self._back, self._shift_back = transfer.conj().transpose(0, 2, 1), shift.conj().transpose(0, 2, 1)
-
-    @property
-    def coupling(self) -> float:
-        """Bound of what couples a high harmonic to others."""
-        size = np.linalg.norm(self.transfer[self.low :], axis=(1, 2)).max(initial=0.0)
-        middle = len(self.slope) // 2
-        return float(size * np.linalg.norm(self._values - self.slope[middle].real, axis=(1, 2)).max(initial=0.0))
 
     # ---------------------------------------------------------------- products
     def unpack(self, x: Array) -> Array:
@@ -222,11 +216,12 @@ class SplitFactors:
         scale[scale == 0] = 1.0
         before = np.inf
         for _ in range(_SWEEPS):
-            size = float((np.sqrt(_squares(left) + (rest**2).sum(axis=0)) / scale).max())
-            if size < accuracy or (size > before / 4 and size < _LIMIT):
+            size = float((_norm(left, rest) / scale).max())
+            if size < accuracy:
                 return np.concatenate([inner.pack(Y), x])
-            if not size < 4 * before:
-                return None
+            if not size < before / 2:  # rounding, where the solution is large, or no convergence
+                rounding = _ROUNDING * max(1.0, float((_norm(Y, x) / scale).max()))
+                return np.concatenate([inner.pack(Y), x]) if size < rounding else None
             before = size
             given = np.concatenate([inner.pack(left[:low]), rest])
             found = sl.lapack.dgetrs(self._lu, self._pivots, given, trans=int(transposed))[0]
@@ -244,9 +239,9 @@ class SplitFactors:
         return None
 
 
-def _squares(Y: Array) -> Array:
-    """Return the sums (c,) of squares of harmonics (K, k, c)."""
-    return np.asarray((Y.real**2 + Y.imag**2).sum(axis=(0, 1)))
+def _norm(Y: Array, x: Array) -> Array:
+    """Return the norms (c,) of harmonics (K, k, c) with the entries (b, c) of borders."""
+    return np.sqrt((Y.real**2 + Y.imag**2).sum(axis=(0, 1)) + (x**2).sum(axis=0))
 
 
 def _sign(lu: Array, pivots: Array) -> float:
@@ -259,13 +254,11 @@ def split(transfer: Array, slope: Array, shift: Array, half: bool) -> SplitMatri
     K = len(transfer)
     if K < LEAST:
         return None
-    steep = np.abs(slope).max() * 4
-    size = np.linalg.norm(transfer, axis=(1, 2))
-    large = np.flatnonzero(size * steep > _SMALL)
-    needed = int(large[-1]) + 1 if large.size else 1
-    low = max(_LOWEST, needed) + 1
+    steepest = float(np.linalg.norm(slope, axis=(1, 2)).sum())  # bounds the slope
+    strong = np.flatnonzero(np.linalg.norm(transfer, axis=(1, 2)) * steepest > _SMALL)
+    low = max(_LOWEST, int(strong[-1]) + 1 if strong.size else 0)
     if low > K // 2:
         return None
-    n = BalanceOperator(transfer, slope, shift, half, low)
-    empty = np.zeros((n.size, 0))
-    return SplitMatrix(n, empty, empty.T, np.zeros((0, 0)))
+    inner = BalanceOperator(transfer, slope, shift, half, low)
+    none = np.zeros((inner.size, 0))
+    return SplitMatrix(inner, none, none.T, np.zeros((0, 0)))

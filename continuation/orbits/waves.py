@@ -8,6 +8,8 @@ from continuation.orbits import contact_series as series
 from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
 from continuation.orbits.spectrum import unpack
 
+_ROWS = 512  # pieces whose exponentials are held at once
+
 
 class Waves:
     """Port slopes along several orbits at once; ``owner`` tells which orbit a piece belongs to."""
@@ -98,17 +100,23 @@ def _series(spectra: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.nd
     """Evaluate half spectra (N, K+1, c) of the owners at phases (P, q); returns (P, q, c)."""
     k = np.arange(spectra.shape[1])
     scaled = spectra * np.where(k == 0, 1.0, 2.0)[:, None]
-    first = np.exp(1j * phases)
     if len(k) <= 8:  # few harmonics: powers by multiplication
+        first = np.exp(1j * phases)
         out = np.zeros((*phases.shape, spectra.shape[2]))
         power = np.ones_like(first)
         for order in k:
             out += (power[..., None] * scaled[owner, order][:, None, :]).real
             power = power * first
         return out
+    # all rows are stretched copies of one pattern: with it the exponentials are products, e(start) e(length x)
     out = np.empty((*phases.shape, spectra.shape[2]))
-    for start in range(0, len(owner), 512):  # bounds the memory of the exponentials
-        rows = slice(start, start + 512)
-        waves = np.exp(1j * phases[rows, :, None] * k)
-        out[rows] = (waves @ scaled[owner[rows]]).real
+    within = phases - phases[:, :1]
+    lengths, like = np.unique(within[:, -1].round(13), return_inverse=True)
+    for number in range(len(lengths)):
+        members = np.flatnonzero(like == number)
+        inner = np.exp(1j * np.multiply.outer(within[members[0]], k))  # (q, K+1)
+        for begin in range(0, len(members), _ROWS):  # bounds the memory
+            rows = members[begin : begin + _ROWS]
+            outer = np.exp(1j * np.multiply.outer(phases[rows, 0], k))[..., None] * scaled[owner[rows]]
+            out[rows] = (inner @ outer).real
     return out
