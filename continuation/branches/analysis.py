@@ -212,6 +212,15 @@ def _unstable(orbit: Orbit, autonomous: bool) -> int | None:
     return int(np.sum(outside > 0))
 
 
+def _crossing(point: SpecialPoint) -> int:
+    """Return the number of multipliers that cross the unit circle at a point.
+
+    None on a branch that is born at a branch point and turns there: one touches it.
+    """
+    upright = point.kind == "branch-point" and abs(point.node.tp) < 1e-6 * max(abs(point.parameter), 1e-3)
+    return 0 if upright else CRITICAL[point.kind]
+
+
 def _unexplained(path: list[Orbit], points: list[SpecialPoint], autonomous: bool = False) -> list[str]:
     """Return a note for every change of the number of unstable multipliers that the located points do not explain.
 
@@ -220,7 +229,7 @@ def _unexplained(path: list[Orbit], points: list[SpecialPoint], autonomous: bool
     notes = []
     counts = [(i, c) for i, o in enumerate(path) if (c := _unstable(o, autonomous)) is not None]
     for (i, before), (j, after) in pairwise(counts):
-        between = [CRITICAL[q.kind] for q in points if i <= q.index < j]
+        between = [_crossing(q) for q in points if i <= q.index < j]
         change, most = abs(after - before), sum(between)
         if change > most or (most - change) % 2:
             a, b = sorted((path[i].value, path[j].value))

@@ -1,36 +1,29 @@
 """Points of codimension two on tracked curves: cusps, generalised doublings, fold-flips and strong resonances.
 
-Test functions of the monodromy matrix M of a point, with chi(z) = det(z I - M), and of the normal form:
-
-    on a fold curve        1:1  chi'(1),    fold-flip  chi(-1),   cusp                 a chi'(1)
-    on a doubling curve    1:2  chi'(-1),   fold-flip  chi(1),    generalised-doubling c chi'(-1)
-    on a torus curve       1:3, 1:4  rotation number; 1:1 and 1:2 are the ends of the curve
-    on all                 extremum  dq/ds of the second parameter along the curve
-
-The factors chi' take off the poles that the coefficients a and c have at the resonances (Kuznetsov, Elements of Applied
-Bifurcation Theory, chapter 9).
+Test functions (module ``curve_tests``) are bounded away from zero between the points of a curve, or more of its points
+are looked at (module ``curve_search``); a sign change is located by a root search on true points of the curve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from scipy.optimize import brentq
 
 from continuation.branches.criticality import STRONG
 from continuation.branches.curve import Segment
+from continuation.branches.curve_search import Change, Sample, at_nodes, changes, chosen, search_curve
+from continuation.branches.curve_tests import KINDS, PointKind, Tests
 from continuation.branches.extended import ExtendedProblem
 from continuation.branches.newton import Metric, Node
-from continuation.branches.reduction import coefficient
 from continuation.errors import ContinuationError, IntegrationFailed, NoConvergence, UnsupportedModel
 
-PointKind = Literal["extremum", "cusp", "generalised-doubling", "fold-flip", "1:1", "1:2", "1:3", "1:4"]
-_NOISE = 1e-7  # of the largest value along the curve, below which a test function has no sign
+_RESONANCE: dict[str, PointKind] = {"fold": "1:1", "period-doubling": "1:2"}
 _NEUTRAL = 1e-8  # largest value of chi' along a curve that is rounding: multipliers mu and 1/mu, no damping
 _XTOL = 1e-10  # of a step of the curve
+_JUMP = 1e-3  # of its values at the ends, what a test function may be at its root
 _AROUND = (1e-4, 1e-2, 0.3)  # of a step: where a point is looked for again at a finer resolution
 _CLOSER = (0.3, 0.06, 0.012)  # of a step, distances of true points on both sides of the end of a torus curve
 _GONE = 1e-4  # rotation number that counts as that of a resonance
@@ -64,91 +57,42 @@ class CurvePoint:
         return f"{self.kind} at ({p:.10g}, {q:.10g}) +- ({dp:.1e}, {dq:.1e})"
 
 
-class Tests:
-    """Test functions at nodes of one curve; the sign of the null vector is carried from node to node."""
-
-    def __init__(self, system: ExtendedProblem, metric: Metric) -> None:
-        self.system, self.metric = system, metric
-        self.missing = ""  # why a test function is not known
-        self._along: np.ndarray | None = None
-
-    def __call__(self, node: Node) -> dict[PointKind, float]:
-        """Return the test functions of a node; NaN where one can't be had."""
-        system = self.system
-        u, p, nu = system.split(node.u)
-        if system.kind == "grazing":
-            return {"extremum": node.tp}
-        if system.kind == "neimark-sacker":
-            return {"extremum": node.tp, "1:3": nu - STRONG["1:3"], "1:4": nu - STRONG["1:4"]}
-        inner = system.at(node.p)
-        mu = np.linalg.eigvals(inner.monodromies([(u, p)])[0])
-        size = float(np.prod(1 + np.abs(mu)))
-        here = 1.0 if system.kind == "fold" else -1.0
-        slope = sum(np.prod(np.delete(here - mu, i)) for i in range(len(mu))).real / size
-        flip = float(np.prod(-here - mu).real) / size
-        if system.kind == "fold":
-            bend = self._bend(node) * float(slope)
-            return {"cusp": bend, "extremum": node.tp, "1:1": float(slope), "fold-flip": flip}
-        cubic = self._cubic(node) * float(slope)
-        return {"extremum": node.tp, "1:2": float(slope), "fold-flip": flip, "generalised-doubling": cubic}
-
-    def _bend(self, node: Node) -> float:
-        """Return the quadratic coefficient of a fold up to a positive factor, the sign of the null vector kept."""
-        system = self.system
-        u, p, nu = system.split(node.u)
-        system.linearise(node.u, node.p)
-        null = system.null(node.u, node.p)
-        form = system.inner.critical_form(u, p, nu, null.v, null.w)
-        before = self._along
-        guess = np.ones_like(u) if before is None else system.inner.lengthen(before, u)
-        du, _ = system.tangent((guess, 0.0), self.metric)
-        self._along = du
-        return float((form.state @ du).real / form.shift.imag)
-
-    def _cubic(self, node: Node) -> float:
-        try:
-            return coefficient(self.system, node.u, node.p)
-        except UnsupportedModel as reason:
-            self.missing = f"generalised doublings are not looked for: {reason}"
-            return np.nan
-
-
 def find_points(system: ExtendedProblem, nodes: list[Node], metric: Metric) -> tuple[list[CurvePoint], list[str]]:
-    """Return the points of codimension two between the nodes of a curve, and notes on what is not known."""
-    tests = Tests(system, metric)
+    """Return the points of codimension two between the nodes of a curve, in order, and notes on what is not known."""
+    tests, kinds = Tests(system, metric), KINDS[system.kind]
+    notes: list[str] = []
     try:
-        values = [tests(n) for n in nodes]
+        samples = at_nodes(tests, nodes, kinds)
+        if system.kind in _RESONANCE and _undamped(samples, kinds.index(_RESONANCE[system.kind])):
+            samples, kinds = chosen(samples, kinds, ("extremum", "fold-flip"))
+            notes.append("the model has no damping: multipliers are double all along; resonances are not looked for")
+        samples, open_ = search_curve(tests, samples, kinds)
     except (ContinuationError, np.linalg.LinAlgError) as reason:
         return [], [f"points of codimension two are not looked for: {reason}"]
-    notes = [tests.missing] if tests.missing else []
+    notes += [tests.missing] if tests.missing else []
+    seen, touching = changes(tests, samples, kinds)
+    notes += open_ + touching
+    cusps = {id(c.a) for c in seen if c.kind == "cusp"}
     found: list[CurvePoint] = []
-    slope: dict[str, PointKind] = {"fold": "1:1", "period-doubling": "1:2"}
-    kinds = list(values[0])
-    resonance = slope.get(system.kind)
-    if resonance is not None and max(abs(v[resonance]) for v in values) < _NEUTRAL:
-        kinds = ["extremum", "fold-flip"]
-        notes.append("the model has no damping: multipliers are double all along; resonances are not looked for")
-    for kind in kinds:
-        column = np.array([v[kind] for v in values])
-        noise = _NOISE * np.nanmax(np.abs(column), initial=0.0)
-        for i in range(len(nodes) - 1):
-            a, b = column[i], column[i + 1]
-            if not (a * b < 0 and min(abs(a), abs(b)) > noise):
-                continue
-            if kind == "extremum" and any(point.kind == "cusp" and point.index == i for point in found):
-                continue  # both parameters turn back there
-            try:
-                found.append(_located(system, metric, (nodes[i], nodes[i + 1]), kind, i))
-            except (NoConvergence, IntegrationFailed) as reason:
-                q = sorted((nodes[i].p, nodes[i + 1].p))
-                notes.append(f"{kind} seen at {system.parameter} in [{q[0]:.8g}, {q[1]:.8g}], not located ({reason})")
-    return sorted(found, key=lambda point: point.index), notes
+    for change in seen:
+        if change.kind == "extremum" and id(change.a) in cusps:
+            continue  # both parameters turn back there
+        try:
+            found.append(_located(system, metric, change))
+        except (NoConvergence, IntegrationFailed) as reason:
+            q = sorted((change.a.node.p, change.b.node.p))
+            where = f"{system.parameter} in [{q[0]:.8g}, {q[1]:.8g}]"
+            notes.append(f"{change.kind} seen at {where}, not located ({reason})")
+    return found, notes
 
 
-def _located(
-    system: ExtendedProblem, metric: Metric, ends: tuple[Node, Node], kind: PointKind, index: int
-) -> CurvePoint:
+def _undamped(samples: list[Sample], column: int) -> bool:
+    return max(abs(s.values[column]) for s in samples) < _NEUTRAL
+
+
+def _located(system: ExtendedProblem, metric: Metric, change: Change) -> CurvePoint:
     """Locate a sign change on true points of the curve, at the resolution of its ends and at a finer one."""
+    ends, kind = (change.a.node, change.b.node), change.kind
     segment = Segment(system, metric, *ends)
 
     def at(x: float, like: np.ndarray | None) -> Node:
@@ -156,18 +100,19 @@ def _located(
 
     def root(like: np.ndarray | None, low: float, high: float) -> tuple[float, Node]:
         tests, known = Tests(system, metric), {}
-        tests(ends[0])  # the sign of the null vector
+        tests.along = change.a.along
 
         def value(x: float) -> float:
             if x not in known:
                 node = at(x, like)
-                known[x] = tests(node)[kind], node
+                known[x] = float(tests(node, (kind,))[0]), node
             return known[x][0]
 
         if value(low) * value(high) > 0:
             raise NoConvergence("no sign change at this resolution")
         x = float(brentq(value, low, high, xtol=_XTOL))
-        value(x)
+        if abs(value(x)) > _JUMP * max(abs(value(low)), abs(value(high))):
+            raise NoConvergence("its test function jumps there, as where a contact grazes")
         return x, known[x][1]
 
     x, node = root(None, 0.0, 1.0)
@@ -181,7 +126,7 @@ def _located(
                 continue
         raise NoConvergence("no sign change at a finer resolution")
 
-    return _point(system, kind, index, node, again)
+    return _point(system, kind, change.a.index, node, again)
 
 
 def _finer(system: ExtendedProblem, node: Node) -> np.ndarray:

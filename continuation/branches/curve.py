@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ class Segment:
     metric: Metric
     a: Node
     b: Node
+    _known: list[tuple[np.ndarray, ...]] = field(default_factory=list, init=False, repr=False)
 
     def __str__(self) -> str:
         a, b = sorted((self.a.p, self.b.p))
@@ -31,7 +32,13 @@ class Segment:
         a, b, level = self.a, self.b, max(abs(self.a.p), 1e-3)
         return min(abs(a.tp), abs(b.tp)) < _VERTICAL * level and abs(a.p - b.p) < 1e-9 * level
 
-    def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _ends(self) -> tuple[np.ndarray, ...]:
+        """Return both ends and both tangents times the length, all of one resolution."""
+        if not self._known:
+            self._known.append(self._made())
+        return self._known[0]
+
+    def _made(self) -> tuple[np.ndarray, ...]:
         like = self.a.u if len(self.a.u) >= len(self.b.u) else self.b.u
         fit = self.problem.lengthen
         a = np.append(fit(self.a.u, like), self.a.p)

@@ -1,4 +1,4 @@
-"""Locate special points on the true branch: Newton on the extended system, or a secant, at rising resolution."""
+"""Locate special points on the true branch: Newton's method on extended systems at rising resolution."""
 
 from __future__ import annotations
 
@@ -8,68 +8,81 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from continuation.branches.branch import Kind
+from continuation.branches.branch_points import Crossing, along, solve_crossing
 from continuation.branches.curve import Segment
 from continuation.branches.extended import SHIFT, ExtendedProblem, extended, solve_point
-from continuation.branches.newton import Node
+from continuation.branches.located import GOAL, REACH, ROOT, Located, extrapolated, is_fixed, result, scale_of
+from continuation.branches.newton import Node, size_of
+from continuation.branches.root_search import crossing_search, rising, test_function
 from continuation.branches.screening import Suspect
 from continuation.errors import IntegrationFailed, NoConvergence, UnsupportedModel
 
-_GOAL = 1e-9  # wanted error, relative to the size of the parameter
-_ROOT = 2e-11  # where the secant stops, relative likewise
-_CLOSER = (0.1, 0.02, 0.004)  # of the segment, distances of true points from a branch point
-_REACH = 0.5  # how far outside its segment a root may lie (multipliers and operator are discretised differently)
+__all__ = ["Located", "locate", "rising"]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Located:
-    """A located point: kind, node, parameter error, the segment it was found on and its coordinate x there.
-
-    Where it was located on an extended system, ``nu`` is the angle of the critical multiplier over 2 pi and
-    ``solutions`` are the first ones, of rising resolution.
-    """
-
-    kind: Kind
-    node: Node
-    error: float
-    segment: Segment
-    x: float
-    status: str
-    note: str = ""
-    nu: float = float("nan")
-    solutions: tuple[tuple[ExtendedProblem, np.ndarray], ...] = ()
+_BROKEN = 1e-11  # unfolding, relative to the equations, that is more than rounding: the branches do not cross
+_SLACK = 0.02  # of a segment, how far outside it a branch point may lie: its ends have another resolution
+_ALONG = 0.9  # cosine between a tangent at a branch point and the interpolated branch, at least
 
 
 def locate(suspect: Suspect) -> Located | str:
     """Return the located point, a note (str) on why it can't be located, or "" where there is none.
 
     Newton's method on the minimally extended system goes first, where the method of the orbits offers its derivatives;
-    the secant on the test function second, inside the sign change where the first one left it.
+    a root search on the test function second, inside the sign change where the first one left it.
     """
-    segment = suspect.segment
-    kind = _kind(suspect)
+    segment, kind = suspect.segment, _kind(suspect)
     if kind == "branch-point":
-        return _tried(segment, kind, suspect.x, partial(_branch_point, segment, _tests(segment.problem, kind)))
+        return _branch_point(suspect)
     nu = SHIFT.get(kind, 0.0)
     if kind == "neimark-sacker":
         (u, p) = segment.at(np.array([suspect.x]))[0]
         nu = _rotation(segment.problem, u, p)
         if not np.isfinite(nu):
             return ""  # two real multipliers with product 1, a neutral saddle, are no torus point
+    search = partial(rising, segment, kind, test_function(segment.problem, kind))
+    return _either(suspect, kind, lambda: _extended(segment, kind, suspect.x, nu), search)
+
+
+def _branch_point(suspect: Suspect) -> Located | str:
+    """Locate a branch point, or a fold that was taken for one; note what is wrong."""
+    segment, x = suspect.segment, suspect.x
+    if segment.a.tp * segment.b.tp > 0:
+        search = partial(crossing_search, segment, test_function(segment.problem, "branch-point"))
+        return _either(suspect, "branch-point", lambda: _crossing(segment, x), search)
+    try:
+        found = _crossing(segment, x)
+        if isinstance(found, Located):
+            return found
+    except (UnsupportedModel, NoConvergence, IntegrationFailed):
+        pass
+    search = partial(rising, segment, "fold", test_function(segment.problem, "fold"))
+    found = _either(suspect, "fold", lambda: _extended(segment, "fold", x, 0.0), search)
+    words = "perhaps a branch point at which the branch is born: the determinant changes its sign"
+    return replace(found, note=_joined(words, found.note)) if isinstance(found, Located) else found
+
+
+def _either(
+    suspect: Suspect, kind: Kind, newton: Callable[[], Located | str], search: Callable[[float], Located]
+) -> Located | str:
+    """Return what Newton's method finds, what a root search does where there are no derivatives or it fails."""
     reason = ""
     try:
-        return _extended(segment, kind, suspect.x, nu)
+        return newton()
     except UnsupportedModel:
         pass  # the method has no second derivatives
     except (NoConvergence, IntegrationFailed) as failure:
         reason = str(failure)
-    found = _tried(segment, kind, suspect.x, partial(rising, segment, kind, _tests(segment.problem, kind)))
+    found = _tried(suspect.segment, kind, suspect.x, search)
     if isinstance(found, Located) and reason:
-        words = f"by the secant on its test function: the extended system failed ({reason})"
-        return replace(found, note=f"{words}; {found.note}" if found.note else words)
+        words = f"by a root search on its test function: the extended system failed ({reason})"
+        return replace(found, note=_joined(words, found.note))
     return found
+
+
+def _joined(*notes: str) -> str:
+    return "; ".join(note for note in notes if note)
 
 
 def _tried(segment: Segment, kind: Kind, x: float, method: Callable[[float], Located]) -> Located | str:
@@ -95,39 +108,100 @@ def _rotation(problem: Any, u: np.ndarray, p: float) -> float:
 
 def _extended(segment: Segment, kind: Kind, x: float, nu: float) -> Located:
     """Solve the extended system at rising resolution until the change of the parameter says it is good enough."""
-    problem, scale = segment.problem, _scale(segment)
+    problem, scale = segment.problem, scale_of(segment)
     u, p = segment.at(np.array([x]))[0]
     system = extended(problem, kind, u, p)
     node = solve_point(system, system.join(u, p, nu))
     x = _place(segment, system, node)
-    changes: list[float] = []
-    solutions = [node.u]
-    error = np.inf
-    while error > _GOAL * scale:
-        longer = system.refined(node.u, 0.0)
-        if longer is None:
-            break
-        finer = solve_point(system, longer)
-        changes.append(abs(system.split(finer.u)[1] - system.split(node.u)[1]))
-        solutions.append(finer.u)
-        error = _extrapolated(changes) + _ROOT * scale
-        if _fixed(problem):  # the point of the resolution that was asked for
-            error = changes[-1] + _ROOT * scale
-            node = solve_point(system, node.u)  # its linearisation is the one at hand again
-            break
-        node = finer
-    u, p, nu = system.split(node.u)
+    steps = _Steps(lambda U: solve_point(system, U).u, lambda U: system.refined(U, 0.0), lambda U: system.split(U)[1])
+    solutions, error = _raised(problem, steps, node.u, scale)
+    U = solutions[0] if is_fixed(problem) else solutions[-1]
+    if U is not solutions[-1]:
+        U = solve_point(system, U).u  # its linearisation is the one at hand again
+    u, p, nu = system.split(U)
     du, dp = segment.direction(x)
     tangent = system.tangent((problem.lengthen(du, u), dp), segment.metric)
     point = Node(u, p, *tangent, 1.0, node.iterations)
-    if not changes:
-        error = problem.point_error(point, kind) + _ROOT * scale
+    if error is None:
+        error = problem.point_error(point, kind) + ROOT * scale
     pairs = tuple((system, U) for U in solutions[:2])
-    return replace(_result(kind, point, error, segment, x), nu=nu, solutions=pairs)
+    return replace(result(kind, point, error, segment, x), nu=nu, solutions=pairs)
 
 
-def _fixed(problem: Any) -> bool:
-    return any(getattr(problem.method, name, None) is not None for name in ("harmonics", "intervals"))
+def _crossing(segment: Segment, x: float) -> Located | str:
+    """Solve the bordered system of a branch point at rising resolution, or say that the branches do not cross."""
+    problem, scale = segment.problem, scale_of(segment)
+    u, p = segment.at(np.array([x]))[0]
+    first = solve_crossing(problem, u, p)
+    x = segment.coordinate(first.u, first.p)
+    if not -_SLACK <= x <= 1 + _SLACK:
+        raise NoConvergence("it led to another point")
+    steps = _Steps(lambda c: solve_crossing(problem, c.u, c.p), lambda c: _longer(segment, c), lambda c: float(c.p))
+    found, error = _raised(problem, steps, first, scale)
+    last = found[0] if is_fixed(problem) else found[-1]
+    betas = [abs(c.beta) for c in found]  # its sign is that of the borders, which is arbitrary
+    open_ = abs(betas[-1] - betas[-2]) if len(found) > 1 else _inexact(segment)
+    if betas[-1] > _BROKEN + 3 * open_:
+        return (
+            f"{segment}: no branch point, though the determinant changes its sign: the equations are "
+            f"{betas[-1]:.1e} of their size away from one (broken symmetry), two branches pass each other, and "
+            "the continuation jumped from one to the other; take smaller steps"
+        )
+    du, dp = segment.direction(x)
+    tangent, _, cosine = along(last, (problem.lengthen(du, last.u), dp), segment.metric)
+    if not cosine > _ALONG:
+        raise NoConvergence("two branches cross there, but not this one")
+    point = Node(last.u, last.p, *tangent, 1.0, len(first.history))
+    if error is None:
+        error = problem.point_error(point, "branch-point") + ROOT * scale
+    return result("branch-point", point, error, segment, x)
+
+
+def _longer(segment: Segment, c: Crossing) -> Crossing | None:
+    """Return a crossing at twice the resolution, None at the limit.
+
+    Its estimated correction would mislead where beta is not 0: it is no orbit.
+    """
+    problem, orbit = segment.problem, segment.a
+    like = problem.refined(problem.lengthen(orbit.u, c.u), orbit.p)
+    return None if like is None else replace(c, u=problem.lengthen(c.u, like))
+
+
+def _inexact(segment: Segment) -> float:
+    """Return how far equations whose resolution can't be raised may be from the true ones, relative to the orbit."""
+    problem, orbit = segment.problem, segment.a
+    integration = getattr(problem, "integration", None)
+    if integration is not None:
+        return 10 * float(integration.rtol)
+    return float(problem.error(orbit.u, orbit.p)) / size_of(orbit.u)
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """What a point is solved with: solve, bring to a finer resolution (None at the limit), its parameter."""
+
+    solve: Callable[[Any], Any]
+    refine: Callable[[Any], Any]
+    parameter: Callable[[Any], float]
+
+
+def _raised(problem: Any, steps: _Steps, first: Any, scale: float) -> tuple[list[Any], float | None]:
+    """Return solutions of rising resolution from the first one, and the parameter error; None of a single one.
+
+    At a resolution that was asked for there is one finer solution, which tells the error of the first.
+    """
+    found, changes = [first], list[float]()
+    error: float | None = None
+    while error is None or error > GOAL * scale:
+        finer = steps.refine(found[-1])
+        if finer is None:
+            break
+        found.append(steps.solve(finer))
+        changes.append(abs(steps.parameter(found[-1]) - steps.parameter(found[-2])))
+        error = extrapolated(changes) + ROOT * scale
+        if is_fixed(problem):
+            break
+    return found, error
 
 
 def _place(segment: Segment, system: ExtendedProblem, node: Node) -> float:
@@ -144,171 +218,20 @@ def _place(segment: Segment, system: ExtendedProblem, node: Node) -> float:
     x = segment.coordinate(u, p)
     if 0 <= x <= 1:
         return x
-    test = _tests(segment.problem, system.kind)
-    if not -_REACH <= x <= 1 + _REACH or test(segment.a) * test(segment.b) < 0:
+    test = test_function(segment.problem, system.kind)
+    if not -REACH <= x <= 1 + REACH or test(segment.a) * test(segment.b) < 0:
         raise NoConvergence("it led to another point")
     return x
 
 
 def _kind(suspect: Suspect) -> Kind:
+    """Return the kind of point that a sign change tells of.
+
+    Where branches cross, the determinant of the equations bordered by the tangent changes its sign, at a fold it does
+    not; but a branch that is born at a pitchfork turns there, too.
+    """
     if suspect.test == 1:
         return "period-doubling"
     if suspect.test == 2:
         return "neimark-sacker"
-    a, b = suspect.segment.a, suspect.segment.b
-    return "branch-point" if a.sign != b.sign and a.tp * b.tp > 0 else "fold"
-
-
-def _tests(problem: Any, kind: Kind) -> Callable[[Node], float]:
-    if kind == "fold":
-        return lambda node: node.tp
-    if kind == "period-doubling":
-        return lambda node: problem.flip(node.u, node.p)
-    if kind == "branch-point":
-
-        def touch(node: Node) -> float:
-            matrix = problem.monodromies([(node.u, node.p)])[0]
-            return float(np.prod(1 - np.linalg.eigvals(matrix)).real)
-
-        return touch
-
-    def modulus(node: Node) -> float:  # NaN without a complex pair
-        mu = np.linalg.eigvals(problem.monodromies([(node.u, node.p)])[0])
-        pairs = mu[mu.imag > 1e-9]
-        if not pairs.size:
-            return np.nan
-        nearest = pairs[np.argmin(np.abs(np.abs(pairs) - 1))]
-        return float(np.abs(nearest) - 1)
-
-    return modulus
-
-
-def rising(segment: Segment, kind: Kind, test: Callable[[Node], float], x: float) -> Located:
-    """Repeat the root search with twice the harmonics until the change of the parameter says it is good enough."""
-    problem = segment.problem
-    scale = _scale(segment)
-    like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
-    x, node, slope = _secant(segment, test, x, like, None, scale)
-    found, changes = node, []
-    error = np.inf
-    while True:
-        longer = problem.refined(node.u, node.p)
-        if longer is None:
-            break
-        at, node, slope = _secant(segment, test, x, longer, slope, scale)
-        changes.append(abs(node.p - found.p))
-        if _fixed(problem):
-            return _result(kind, found, changes[-1] + _ROOT * scale, segment, x)
-        x, found = at, node
-        error = _extrapolated(changes) + _ROOT * scale
-        if error <= _GOAL * scale:
-            break
-    if not changes:
-        error = problem.point_error(node, kind)
-    return _result(kind, found, error, segment, x)
-
-
-def _scale(segment: Segment) -> float:
-    """Return the size of the parameter on a segment, 1 where it is 0."""
-    a, b = segment.a.p, segment.b.p
-    return max(abs(a), abs(b)) or 1.0
-
-
-def _branch_point(segment: Segment, test: Callable[[Node], float], x: float) -> Located:
-    """Locate a branch point at rising resolution, like the other kinds (see :func:`_between`)."""
-    problem, scale = segment.problem, _scale(segment)
-    like = segment.a.u if len(segment.a.u) >= len(segment.b.u) else segment.b.u
-    x, node, spread = _between(segment, test, x, like)
-    changes: list[float] = []
-    error = spread + problem.point_error(node, "branch-point")
-    while error > _GOAL * scale and (longer := problem.refined(node.u, node.p)) is not None:
-        x, finer, spread = _between(segment, test, x, longer)
-        changes.append(abs(finer.p - node.p))
-        node, error = finer, _extrapolated(changes) + spread
-    return _result("branch-point", node, error + _ROOT * scale, segment, x)
-
-
-def _interpolated(segment: Segment, x: float) -> Node:
-    """Return the point of the cubic between the ends of a segment, as if it were a true one."""
-    (u, p), (du, dp) = segment.at(np.array([x]))[0], segment.direction(x)
-    size = segment.metric.length(du, dp)
-    return Node(u, p, du / size, dp / size, segment.a.sign, 0)
-
-
-def _between(segment: Segment, test: Callable[[Node], float], x: float, like: np.ndarray) -> tuple[float, Node, float]:
-    """Return coordinate, node and last change of the parameter of a branch point, from true points closer and closer.
-
-    At the point itself the bordered Jacobian is singular and Newton's method fails; but the branch passes smoothly, so
-    the cubic through two true points a distance d away misses it by d^4.
-    """
-    found: list[Node] = []
-    for reach in _CLOSER:
-        ends = [segment.node(float(np.clip(x + side * reach, -_REACH, 1 + _REACH)), like) for side in (-1, 1)]
-        inner = Segment(segment.problem, segment.metric, *ends)
-
-        def at(y: float, inner: Segment = inner) -> Node:
-            return _interpolated(inner, y)
-
-        if test(at(0.0)) * test(at(1.0)) > 0:
-            raise NoConvergence("no sign change between true points on both sides")
-        y = float(brentq(lambda y, at=at: test(at(y)), 0.0, 1.0, xtol=1e-13))
-        found.append(at(y))
-        x += reach * (2 * y - 1)
-    return x, found[-1], abs(found[-1].p - found[-2].p)
-
-
-def _result(kind: Kind, node: Node, error: float, segment: Segment, x: float) -> Located:
-    bound = 3 * _GOAL * _scale(segment)
-    good = error <= bound
-    note = "" if good else f"more harmonics are needed for an error below {bound:.0e}"
-    return Located(kind, node, error, segment, x, "located" if good else "guessed", note)
-
-
-def _extrapolated(changes: list[float]) -> float:
-    """Error left after changes under doubling: twice the geometric remainder, its ratio kept in 1/20 .. 1/2."""
-    if len(changes) == 1:
-        return changes[0]
-    ratio = min(0.5, max(changes[-1] / max(changes[-2], 1e-300), 0.05))
-    return 2 * changes[-1] * ratio / (1 - ratio)
-
-
-def _secant(
-    segment: Segment, test: Callable[[Node], float], x: float, like: np.ndarray, slope: float | None, scale: float
-) -> tuple[float, Node, float]:
-    """Return coordinate, node and slope of a root of the test near x, at the resolution of ``like``.
-
-    A first search (no slope known) keeps to the bracket between the ends of the segment when the test changes sign
-    there, so that neighbouring roots are not mixed up.
-    """
-    reach = max(abs(segment.b.p - segment.a.p), 1e-3 * scale)
-    low = high = None
-    if slope is None:
-        ends = test(segment.a), test(segment.b)
-        if ends[0] * ends[1] < 0:
-            low, high = (0.0, ends[0]), (1.0, ends[1])
-    node = segment.node(x, like)
-    value = test(node)
-    if not np.isfinite(value):
-        raise NoConvergence("there is no complex pair of multipliers nearby")
-    if slope is None:
-        step = 1e-3 if x < 0.5 else -1e-3
-        slope = (test(segment.node(x + step, like, (x, node))) - value) / step
-    for count in range(40):
-        if low is not None and high is not None:
-            low, high = ((x, value), high) if value * low[1] > 0 else (low, (x, value))
-        target = x - value / slope if slope else np.nan
-        if low is not None and high is not None and not low[0] <= target <= high[0]:
-            target = (low[0] + high[0]) / 2
-        elif low is None:
-            target = x + float(np.clip(target - x, -0.25, 0.25))
-        if not -_REACH <= target <= 1 + _REACH or (count > 25 and low is None):
-            break
-        new = segment.node(target, like, (x, node))
-        move, moved, new_value = target - x, abs(new.p - node.p), test(new)
-        if new_value != value and move != 0:
-            slope = (new_value - value) / move
-        x, node, value = target, new, new_value
-        left = abs(value / slope) if slope else np.inf
-        if left * reach <= _ROOT * scale or (moved <= _ROOT * scale and left < 1e-5) or abs(move) < 1e-14:
-            return x, node, slope
-    raise NoConvergence("the test function has no root nearby")
+    return "branch-point" if suspect.segment.a.sign != suspect.segment.b.sign else "fold"

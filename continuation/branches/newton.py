@@ -182,9 +182,10 @@ def _finished(
         return None
     step, t, keep = found
     chord = metric.length(step[:-1], float(step[-1]))
-    if not (chord < _RATE * size and 10 * chord**2 / size < _PART * accuracy):
+    rest = chord**2 / size
+    if not (chord < _RATE * size and 10 * rest < _PART * accuracy):
         return None
-    keep()
+    keep(2 * rest * metric.size)
     norm = metric.length(t[:-1], float(t[-1]))
     return Node(at[0] + step[:-1], at[1] + float(step[-1]), t[:-1] / norm, float(t[-1]) / norm, factors.sign, 2)
 

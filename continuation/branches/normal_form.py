@@ -103,6 +103,8 @@ def left_state(M: np.ndarray, nu: float, v: np.ndarray) -> np.ndarray:
     """
     mu, vectors = np.linalg.eig(M.T)
     w = vectors[:, int(np.argmin(np.abs(mu - np.exp(2j * np.pi * nu))))].conj()
+    if not np.iscomplexobj(v):  # of a double eigenvalue the computed vectors may be complex
+        w = (w / w[int(np.argmax(np.abs(w)))]).real
     turn = np.vdot(w, v)
     w = w * (turn / abs(turn) if abs(turn) > 0 else 1.0) / np.linalg.norm(w)
     return np.asarray(w if np.iscomplexobj(v) else w.real)

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from continuation.branches.analysis import analyse
 from continuation.branches.arclength import Ended, Limits, Progress, check_span, resolve, walk
 from continuation.branches.branch import Branch, SpecialPoint
+from continuation.branches.branch_points import other_tangent
 from continuation.branches.deflation import deflated
 from continuation.branches.newton import Metric, Node, correct, size_of
 from continuation.branches.recognition import wave
@@ -30,7 +31,8 @@ _GONE = 1e-7  # relative size of what distinguishes a doubled orbit below which 
 class Departure:
     """Where a branch leaves its parent: the orbit (u, p) as the new branch's Problem has it, the direction, the metric.
 
-    ``direction`` is a unit vector across the parent branch; both signs of it lead to the new branch.
+    ``direction`` is a unit vector across the parent branch, or the tangent of the new one where that is known; both
+    signs of it lead to the new branch.
     """
 
     point: SpecialPoint
@@ -124,7 +126,8 @@ def departure(point: SpecialPoint, limits: Limits) -> Departure:
         problem, u = point.problem, node.u
         parent = node.tu, node.tp
     metric = Metric(size_of(u), limits.span[1] - limits.span[0])
-    return Departure(point, problem, u, across(problem, (u, node.p), parent, metric), metric, limits)
+    direction = other_tangent(problem, (u, node.p), parent, metric) if point.kind == "branch-point" else None
+    return Departure(point, problem, u, direction or across(problem, (u, node.p), parent, metric), metric, limits)
 
 
 def across(

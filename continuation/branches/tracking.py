@@ -67,6 +67,9 @@ def track(
     -----
     Pseudo-arclength continuation of the minimally extended system (module ``extended``) with exact derivatives,
     those at contact changes included. They are infinite where a contact grazes: a curve may end there, and says so.
+    Points of codimension two are looked for also where signs at both ends of a step agree: test functions that are not
+    bounded away from zero by second differences over neighbouring points are looked at closer (module
+    ``curve_search``), so that pairs inside one step are found.
     """
     first, second = _check(point, parameters, span)
     problem, orbit = _problem(point, first)

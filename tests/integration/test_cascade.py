@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import reference_systems as rs
 
-from continuation import Collocation, HarmonicBalance, Shooting, cascade, trace
+from continuation import Collocation, HarmonicBalance, Shooting, cascade, sweep, trace
 
 METHOD = HarmonicBalance()
 
@@ -42,6 +42,21 @@ def returns(doubled, orbit, value):
     return distance
 
 
+def check_sweep(doubled, orbits, window, shift):
+    """A sweep by fixed steps repeats after 2 periods where the doubled branch is stable, behind its end after 4.
+
+    The window is that between the doubling of the parent, from which the branch falls, and its own.
+    """
+    first, last = window
+    values = [first - shift, last + shift, last - shift]
+    here = [doubled.solve(min(orbits, key=lambda o, v=v: abs(o.value - v)), v) for v in values]
+    assert [o.stability for o in here] == ["stable", "stable", "unstable"]
+    start = np.array([o.evaluate(0.0)[0] * (1 + 1e-4) for o in here])
+    swept = sweep(rs.gear(), "frequency_ratio", values, quantity="lambda", start=start)
+    assert swept.period.tolist() == [2, 2, 4]
+    assert swept.rms[:2] == pytest.approx([o.rms("lambda") for o in here[:2]], rel=1e-4)
+
+
 @pytest.mark.parametrize(
     ("parent", "spans", "doublings", "following", "shift"),
     [
@@ -71,6 +86,7 @@ def test_each_of_the_four_doublings_of_the_gear_pair_is_followed(parent, spans, 
         distance = returns(doubled, orbit, value)
         assert distance[periods - 1] < 1e-4
         assert min(distance[: periods - 1]) > 1e-3
+    check_sweep(doubled, branch.orbits[: last.index + 3], (doublings[0], following[0]), shift)
 
 
 def test_summaries():

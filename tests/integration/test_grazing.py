@@ -15,6 +15,12 @@ ZETA, STIFF = 0.05, 5.0
 
 
 # ------------------------------------------------------------------------------------------------ made-up waveforms
+class Plain(SimpleNamespace):
+    """Stands in for a System, which is its own key."""
+
+    __hash__, __eq__ = object.__hash__, object.__eq__
+
+
 class Strip:
     """The branch u = sin(3 p), along which the argument of one contact has a given half spectrum."""
 
@@ -22,7 +28,7 @@ class Strip:
 
     def __init__(self, wave, level):
         contact = Contact(argument=ca.SX.sym("a"), breakpoints=(level,), slopes=(0.0, 1.0))
-        self.system = SimpleNamespace(contacts=(contact,), autonomous=False)
+        self.system = Plain(contacts=(contact,), autonomous=False)
         self.ports = SimpleNamespace(outputs=1)
         self.forces = SimpleNamespace(argument=lambda i, Y, p: np.array(wave(p), dtype=complex))
 
