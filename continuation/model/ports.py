@@ -37,7 +37,7 @@ from continuation.model.recent import Recent
 from continuation.model.system import System
 
 _SAMPLES = 12
-_PARTS, _FEW = 256, 64  # linear parts that are kept of Systems with as few states
+_PARTS, _FEW = 256, 64  # linear parts that are kept, of Systems with as few states; one of others
 
 
 class Ports:
@@ -54,6 +54,8 @@ class Ports:
         Whether there is a rest at all.
     rest : array (n,)
         A state at which the model is finite: 0 if it is finite there.
+    parts_kept : int
+        Number of linear parts, of different parameters, that are worth keeping, with what is made of them.
 
     Raises
     ------
@@ -89,7 +91,8 @@ class Ports:
         self._build_functions(theta, p)
         self._check_structure()
         self._slope: np.ndarray | None = None
-        self._parts: Recent[LinearPart] = Recent(_PARTS if len(system.state_names) <= _FEW else 1)
+        self.parts_kept = _PARTS if len(system.state_names) <= _FEW else 1
+        self._parts: Recent[LinearPart] = Recent(self.parts_kept)
         self._last: tuple[np.ndarray, LinearPart] | None = None
 
     def _sort_contacts(self) -> None:

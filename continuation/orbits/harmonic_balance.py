@@ -23,7 +23,8 @@ from continuation.orbits.spectrum import operator, pack, resize, unpack
 from continuation.orbits.split_operator import split
 
 _REMEMBERED = 1024  # error estimates kept
-_PARTS = 256  # linear parts of few states whose receptance is kept
+_NEGLIGIBLE = 0.02  # of the error estimate: what Newton's method may leave without being estimated, too
+_ROUNDING = 1e-15  # of an orbit's size
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +112,7 @@ class HarmonicBalanceProblem:
         self.ports = Ports(system)
         self._index = system.parameter_names.index(parameter)
         self._frequency = system.parameter_names.index(system.frequency)
-        most = 1 if self.ports.large else _PARTS
+        most = self.ports.parts_kept
         self._receptances: Recent[tuple[LinearPart, Receptance]] = Recent(most)  # by id: a part that is kept is alive
         self._derived: Recent[tuple[LinearPart, Any]] = Recent(most)
         self._vector: tuple[float, np.ndarray] | None = None
@@ -360,17 +361,21 @@ class HarmonicBalanceProblem:
 
     def finish(
         self, u: np.ndarray, p: float, factors: Factors, tangent: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, Callable[[], None]] | None:
+    ) -> tuple[np.ndarray, np.ndarray, Callable[[float], None]] | None:
         """Return a chord step from (u, p), the tangent there, and what keeps the error estimate behind that step.
 
-        None with a free frequency. See :func:`continuation.orbits.estimate.finish`.
+        It is told what the step leaves, in the norm of u, and keeps an estimate only where that and rounding do not
+        count. None with a free frequency. See :func:`continuation.orbits.estimate.finish`.
         """
         if self.free:
             return None
         step, turned, estimate = finish(self, u, p, factors, tangent)
 
-        def keep() -> None:
-            self._remember(u + step[:-1], p + float(step[-1]), estimate)
+        def keep(rest: float) -> None:
+            if rest + _ROUNDING * size_of(u) < _NEGLIGIBLE * estimate.shortest:
+                self._remember(u + step[:-1], p + float(step[-1]), estimate)
+            else:  # it will be made from the residual there
+                self.keep_factors(factors)
 
         return step, turned, keep
 
