@@ -37,7 +37,7 @@ from continuation.model.recent import Recent
 from continuation.model.system import System
 
 _SAMPLES = 12
-_PARTS, _FEW = 256, 64  # linear parts that are kept, of Systems with as few states; one of others
+_PARTS, _FEW = 256, 32  # linear parts that are kept, of Systems with as few states; one of others
 
 
 class Ports:

@@ -24,8 +24,8 @@ class Estimate:
     ``step`` (twice the harmonics or more), ``dp`` and, for an autonomous System, ``dfrequency`` (relative) are the
     shortest way back to the branch, ``shortest`` its size in the waveform; ``fixed`` is the change at the same
     parameter, None next to a fold, where that is no measure. ``error`` is twice the size of ``fixed``, or of ``step``
-    where there is none, plus what the stated error of a fitted receptance may change. ``port_load`` (H+1, m) is what
-    the ports load the states with.
+    where there is none, plus what the stated error of a fitted receptance may change. ``port_force`` (H+1, m) is that
+    of the orbit.
     """
 
     step: np.ndarray
@@ -34,7 +34,7 @@ class Estimate:
     dfrequency: float
     shortest: float
     error: float
-    port_load: np.ndarray
+    port_force: np.ndarray
 
 
 def estimate_error(problem: Any, u: np.ndarray, p: float) -> Estimate:
@@ -107,7 +107,9 @@ def _judged(
             fixed, error = there, size
     dp = float(least[-1])
     turn = float(least[-2]) if problem.free else 0.0
-    return Estimate(step, fixed, dp * unit, turn, shortest, 2 * error + _of_receptance(problem, u, p, load), load)
+    error = 2 * error + _of_receptance(problem, u, p, load)
+    force = load - product(left.balance.stiffness[: H + 1], unpack(u, k)[..., None])[..., 0]
+    return Estimate(step, fixed, dp * unit, turn, shortest, error, force)
 
 
 @dataclass(frozen=True, slots=True)

@@ -445,12 +445,10 @@ class HarmonicBalanceProblem:
     # ---------------------------------------------------------------- orbits
     def state_spectrum(self, u: np.ndarray, p: float) -> np.ndarray:
         """Return the half spectrum (H+1, n) of all states, recovered exactly from the port forces."""
-        known = self._corrections.get(u.tobytes() + self.vector(p).tobytes())
-        if known is not None:
-            return self._recover(p, known.port_load, self.driven(p, len(known.port_load) - 1))
-        Y = unpack(u, self.ports.outputs)
-        balance = self.balance(Y, self.forces(Y, self.vector(p), len(Y) - 1, 0).W, p)
-        return self._recover(p, balance.load, balance.driven)
+        known, Y = self._corrections.get(u.tobytes() + self.vector(p).tobytes()), unpack(u, self.ports.outputs)
+        W = self.forces(Y, self.vector(p), len(Y) - 1, 0).W if known is None else known.port_force
+        V = W + product(self.receptance(p).stiffness(np.arange(len(Y))), Y[..., None])[..., 0]
+        return self._recover(p, V, self.driven(p, len(Y) - 1))
 
     def waveform(self, u: np.ndarray, p: float, samples: int) -> np.ndarray:
         """Return the states (samples, n) at equidistant phases of the period, of as many harmonics as they resolve."""

@@ -25,6 +25,7 @@ _LEAST, _PLENTY = 15, 32  # harmonics of the perturbation per excitation period
 _TAIL = 8  # times as many orders are eliminated
 _NOTHING = 1e-9  # of the slope: what does not count
 _TOGETHER = 1_000_000  # entries of the matrices that are solved in one call
+_ASKED = 128  # multipliers whose port slopes are held at once
 _SMALL = 150  # rows of a matrix from which one factorisation less is worth a call each
 _NEAR = 0.01  # of the frequency: a pole that close to a harmonic is kept as an unknown of its own
 
@@ -106,6 +107,17 @@ def corrected(
     asked : list of (int, complex)
         Number of the point, and a multiplier of it; ordered by the number.
     """
+    some = [asked[start : start + _ASKED] for start in range(0, len(asked), _ASKED)]
+    return np.concatenate([_corrected(problem, points, patterns, a) for a in some] or [np.zeros(0, dtype=complex)])
+
+
+def _corrected(
+    problem: HarmonicBalanceProblem,
+    points: list[tuple[np.ndarray, float]],
+    patterns: list[Patterns | None],
+    asked: list[tuple[int, complex]],
+) -> np.ndarray:
+    """Do the same with the port slopes of all points asked for in memory."""
     out = np.full(len(asked), np.nan, dtype=complex)
     groups: dict[tuple[int, int, int], list[int]] = {}
     given: dict[int, tuple[_Flow, np.ndarray, int]] = {}
@@ -118,7 +130,7 @@ def corrected(
         if flow.modal:
             groups.setdefault((id(flow), len(slope), K), []).append(a)
     for (_, _, K), members in groups.items():
-        together = max(1, _TOGETHER // (2 * K + 1) ** 2)
+        together = max(1, _TOGETHER // (problem.ports.outputs * (2 * K + 1)) ** 2)
         for some in (members[start : start + together] for start in range(0, len(members), together)):
             who = [asked[a][0] for a in some]
             frequency = np.array([problem.frequency(points[i][1]) for i in who])
@@ -221,13 +233,13 @@ class _Equations:
 
     def _far(self, s: np.ndarray, orders: np.ndarray) -> np.ndarray:
         """Return R (N, K, k, m) at many orders: mode by mode, so that little memory is passed through."""
-        flow, near = self.flow, 1 / (_NEAR * self.frequency[:, None])
+        flow, near = self.flow, _NEAR * self.frequency[:, None]
         at = s[:, None] + 1j * orders * self.frequency[:, None]
         R = np.zeros((*at.shape, len(flow.left), flow.right.shape[1]), dtype=complex)
         for pole, left, right in zip(flow.poles, flow.left.T, flow.right, strict=True):
-            gain = 1 / (at - pole)
-            gain[np.abs(gain) > near] = 0.0
-            R += gain[..., None, None] * np.outer(left, right)
+            gap = at - pole
+            gap[np.abs(gap) < near] = np.inf
+            R += (1 / gap)[..., None, None] * np.outer(left, right)
         return R
 
     def _tail(self, s: np.ndarray, wave: np.ndarray, push: np.ndarray) -> np.ndarray:

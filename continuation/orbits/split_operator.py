@@ -21,7 +21,7 @@ LEAST = 100  # harmonics from which the dense operator costs more
 _SMALL = 0.5  # bound of what couples the high harmonics to others; it is far from sharp
 _LOWEST = 32
 _SWEEPS = 40
-_ROUNDING = 1e-13  # residual, relative to the right-hand side or the solution, that sweeps need not go below
+_ROUNDING = 1e-13  # residual, relative to right-hand side and solution, that sweeps need not go below
 
 Array = np.ndarray
 
@@ -194,7 +194,8 @@ class SplitFactors:
     def solve(self, right: Array, transposed: bool = False, accuracy: float = 1e-13) -> Array:
         """Return the solution (n, c) for right-hand sides (n, c) or (n,), its residual below an accuracy.
 
-        Should the sweeps not converge, the whole matrix is factorised.
+        That is relative to the right-hand side, of the harmonics and of every border on its own; where it is 0, to the
+        largest that the solution makes there. Should the sweeps not converge, the whole matrix is factorised.
         """
         if right.ndim == 1:
             return self.solve(right[:, None], transposed, accuracy)[:, 0]
@@ -212,19 +213,22 @@ class SplitFactors:
         weights, corner = inner.weighted(row), matrix.corner.T if transposed else matrix.corner
         left, rest = inner.unpack(right[:n]), right[n:].copy()  # what is left of the right-hand side
         Y, x = np.zeros_like(left), np.zeros_like(rest)
-        scale = np.linalg.norm(right, axis=0)
-        scale[scale == 0] = 1.0
+        given = _norm(left), np.abs(rest)
+        steep = _norm(column), _norm(row)
         before = np.inf
         for _ in range(_SWEEPS):
-            size = float((_norm(left, rest) / scale).max())
+            # harmonics and every border have units of their own, as a frequency of 1e6 has at waves of 1e-9
+            most = _norm(Y), np.abs(x)
+            own = most[0] + steep[0] @ most[1], np.multiply.outer(steep[1], most[0]) + np.abs(corner) @ most[1]
+            size = _relative(left, rest, [np.where(g > 0, g, o) for g, o in zip(given, own, strict=True)])
             if size < accuracy:
                 return np.concatenate([inner.pack(Y), x])
             if not size < before / 2:  # rounding, where the solution is large, or no convergence
-                rounding = _ROUNDING * max(1.0, float((_norm(Y, x) / scale).max()))
-                return np.concatenate([inner.pack(Y), x]) if size < rounding else None
+                size = _relative(left, rest, [g + o for g, o in zip(given, own, strict=True)])
+                return np.concatenate([inner.pack(Y), x]) if size < _ROUNDING else None
             before = size
-            given = np.concatenate([inner.pack(left[:low]), rest])
-            found = sl.lapack.dgetrs(self._lu, self._pivots, given, trans=int(transposed))[0]
+            packed = np.concatenate([inner.pack(left[:low]), rest])
+            found = sl.lapack.dgetrs(self._lu, self._pivots, packed, trans=int(transposed))[0]
             step = np.zeros_like(left)
             step[:low] = inner.unpack(found[:kept])
             flat = step.reshape(-1, step.shape[2])
@@ -239,9 +243,16 @@ class SplitFactors:
         return None
 
 
-def _norm(Y: Array, x: Array) -> Array:
-    """Return the norms (c,) of harmonics (K, k, c) with the entries (b, c) of borders."""
-    return np.sqrt((Y.real**2 + Y.imag**2).sum(axis=(0, 1)) + (x**2).sum(axis=0))
+def _norm(Y: Array) -> Array:
+    """Return the norms (c,) of harmonics (K, k, c)."""
+    return np.sqrt((Y.real**2 + Y.imag**2).sum(axis=(0, 1)))
+
+
+def _relative(left: Array, rest: Array, scales: list[Array]) -> float:
+    """Return the largest of residuals (K, k, c) and (b, c) relative to scales (c,) and (b, c); one of 0 has none."""
+    pairs = zip((_norm(left), np.abs(rest)), scales, strict=True)
+    found = [np.divide(v, s, out=np.zeros_like(v), where=s != 0).max(initial=0.0) for v, s in pairs]
+    return float(np.max(found))
 
 
 def _sign(lu: Array, pivots: Array) -> float:
@@ -255,7 +266,11 @@ def split(transfer: Array, slope: Array, shift: Array, half: bool) -> SplitMatri
     if K < LEAST:
         return None
     steepest = float(np.linalg.norm(slope, axis=(1, 2)).sum())  # bounds the slope
-    strong = np.flatnonzero(np.linalg.norm(transfer, axis=(1, 2)) * steepest > _SMALL)
+    k = transfer.shape[1]
+    own = np.eye(k) - transfer @ (slope[len(slope) // 2] + shift)
+    least = np.abs(own[:, 0, 0]) if k == 1 else np.linalg.svd(own, compute_uv=False)[:, -1]
+    # below the bound the high harmonics alone have a positive determinant, so that the low ones tell its sign
+    strong = np.flatnonzero(np.linalg.norm(transfer, axis=(1, 2)) * steepest > _SMALL * np.minimum(least, 1.0))
     low = max(_LOWEST, int(strong[-1]) + 1 if strong.size else 0)
     if low > K // 2:
         return None

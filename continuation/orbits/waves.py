@@ -9,6 +9,7 @@ from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
 from continuation.orbits.spectrum import unpack
 
 _ROWS = 512  # pieces whose exponentials are held at once
+_ALIKE = 8  # pieces of one length from which their exponentials are taken together
 
 
 class Waves:
@@ -108,15 +109,38 @@ def _series(spectra: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.nd
             out += (power[..., None] * scaled[owner, order][:, None, :]).real
             power = power * first
         return out
-    # all rows are stretched copies of one pattern: with it the exponentials are products, e(start) e(length x)
+    # rows of one length are shifted copies of each other: their exponentials are products, e(start) e(length x)
     out = np.empty((*phases.shape, spectra.shape[2]))
     within = phases - phases[:, :1]
-    lengths, like = np.unique(within[:, -1].round(13), return_inverse=True)
-    for number in range(len(lengths)):
+    _, like, count = np.unique(within[:, -1].round(13), return_inverse=True, return_counts=True)
+    for number in np.flatnonzero(count >= _ALIKE):
         members = np.flatnonzero(like == number)
         inner = np.exp(1j * np.multiply.outer(within[members[0]], k))  # (q, K+1)
         for begin in range(0, len(members), _ROWS):  # bounds the memory
             rows = members[begin : begin + _ROWS]
             outer = np.exp(1j * np.multiply.outer(phases[rows, 0], k))[..., None] * scaled[owner[rows]]
             out[rows] = (inner @ outer).real
+    single = np.flatnonzero(count[like] < _ALIKE)
+    if single.size:
+        out[single] = _in_blocks(scaled, owner[single], phases[single])
+    return out
+
+
+def _in_blocks(scaled: np.ndarray, owner: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Return the real part of ``sum_k scaled_k exp(i k phase)`` of the owners (N, K+1, c), shape (P, q, c).
+
+    With k = a + width b the exponentials are products of about 2 sqrt K of them.
+    """
+    N, count, c = scaled.shape
+    width = 1 << int(np.sqrt(count)).bit_length()
+    blocks = -(-count // width)
+    table = np.zeros((N, blocks * width, c), dtype=complex)
+    table[:, :count] = scaled
+    table = table.reshape(N, blocks, width, c).transpose(0, 2, 3, 1).reshape(N, width, c * blocks)
+    out = np.empty((*phases.shape, c))
+    for begin in range(0, len(owner), _ROWS // 4):  # bounds the memory
+        rows = slice(begin, begin + _ROWS // 4)
+        angle = 1j * phases[rows, :, None]
+        inner = (np.exp(angle * np.arange(width)) @ table[owner[rows]]).reshape(*angle.shape[:2], c, blocks)
+        out[rows] = (inner @ np.exp(angle * (width * np.arange(blocks)))[..., None])[..., 0].real
     return out

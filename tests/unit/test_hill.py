@@ -7,6 +7,7 @@ import reference_systems as rs
 from test_monodromy import CASES, random_wave
 
 from continuation import Contact, HarmonicBalance, System
+from continuation.orbits import hill
 from continuation.orbits.floquet import distance
 from continuation.orbits.hill import CondensedHill, hill_exponents, hill_matrix
 from continuation.orbits.monodromy import monodromy, multipliers
@@ -134,3 +135,16 @@ def test_limits_are_told():
     problem = HarmonicBalance().discretise(jordan, "omega")
     with pytest.raises(ValueError, match="well-conditioned modes"):
         CondensedHill(problem, u, 1.0)
+
+
+def test_many_multipliers_at_once_are_those_of_one_by_one(monkeypatch):
+    """A few at a time, a tiny one and one that is no multiplier among them."""
+    problem, u, mu = waveform("duffing")
+    points = [(u * size, 1.0 + 0.01 * i) for i, size in enumerate((1.0, 0.3, 0.9, 1.1))]
+    asked = [(i, complex(m)) for i in range(4) for m in (*mu, 1e-200, -0.5)]
+    one = np.array([CondensedHill(problem, *points[i]).multiplier(m) for i, m in asked])
+    for together in (1, 3, 128):
+        monkeypatch.setattr(hill, "_ASKED", together)
+        found = hill.corrected(problem, points, [None] * 4, asked)
+        assert found == pytest.approx(one, rel=1e-11)
+    assert hill.corrected(problem, points, [None] * 4, []).size == 0

@@ -15,6 +15,7 @@ from continuation.orbits.contact_series import evaluate
 from continuation.orbits.floquet import distance, verdict
 from continuation.orbits.monodromy import monodromy, multipliers, transition_matrices
 from continuation.orbits.spectrum import pack, unpack
+from continuation.orbits.waves import _series
 
 
 def by_scipy(problem, Y, p, edges):
@@ -213,3 +214,15 @@ def test_pairing_of_multipliers_ignores_their_order():
 )
 def test_verdict(mu, bar, wanted):
     assert verdict(np.array(mu), np.array(bar)) == wanted
+
+
+@pytest.mark.parametrize("harmonics", [5, 9, 63, 511])
+def test_series_on_rows_of_any_length_are_those_summed_one_by_one(harmonics):
+    """Rows of one length, of nearly one length, and each of its own, of three orbits, two numbers at a time."""
+    rng = np.random.default_rng(0)
+    lengths = np.concatenate([np.full(20, 0.4), 0.3 * (1 + 1e-14 * np.arange(12)), rng.uniform(0.01, 0.5, 150)])
+    phases = rng.uniform(0, 6, (len(lengths), 1)) + lengths[:, None] * np.linspace(0.02, 0.98, 14)
+    owner = rng.integers(0, 3, len(lengths))
+    spectra = np.array([random_wave(seed, harmonics, 2) for seed in range(3)], dtype=complex)
+    exact = np.array([evaluate(spectra[i], row) for i, row in zip(owner, phases, strict=True)])
+    assert np.abs(_series(spectra, owner, phases) - exact).max() < 3e-12 * np.abs(exact).max()

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import reference_systems as rs
 
-from continuation import NoConvergence
-from continuation.branches.newton import Metric, correct
+from continuation import HarmonicBalance, NoConvergence
+from continuation.branches.newton import Metric, correct, size_of
+from continuation.orbits.estimate import waveform_size
 
 
 class Circle:
@@ -82,3 +84,16 @@ def test_metric():
     metric = Metric(size=2.0, span=0.5)
     assert metric.length(np.array([2.0, 0.0]), 0.5) == pytest.approx(np.sqrt(2))
     assert metric.dot((np.array([2.0, 0.0]), 0.5), (np.array([4.0, 1.0]), -0.5)) == pytest.approx(2.0 - 1.0)
+
+
+@pytest.mark.parametrize("moved", [1e-3, 1e-4])
+def test_what_newton_leaves_is_part_of_the_error_estimate(moved):
+    """Many harmonics too many leave out nothing, so that the error is all that the last step leaves."""
+    problem = HarmonicBalance(harmonics=31).discretise(rs.duffing(), "omega")
+    u = problem.unknown(problem.guess(omega=1.2))
+    node = correct(problem, ((1 + moved) * u, 1.2), (np.zeros_like(u), 1.0), Metric(size_of(u), 1.0), accuracy=1e-7)
+    error = problem.estimate(node.u, node.p).error
+    F, J, _ = problem.linearise(node.u, node.p)
+    left = waveform_size(np.linalg.solve(J, F), problem.ports.outputs)
+    assert left > 0.0
+    assert error == pytest.approx(2 * left, rel=0.1, abs=1e-15)

@@ -105,3 +105,21 @@ def test_orbits_and_points_do_not_depend_on_how_the_equations_are_solved(monkeyp
     assert orbit.multipliers == pytest.approx(dense_orbit.multipliers, abs=1e-9)
     assert point.parameter == pytest.approx(dense_point.parameter, abs=1e-11)
     assert point.form.coefficient == pytest.approx(dense_point.form.coefficient, rel=1e-7)
+
+
+def test_solutions_do_not_depend_on_the_units_of_the_borders():
+    """A parameter in rad/s at waves in nm: every unknown, and the residual of every border, has a size of its own."""
+    _, _, (split, _), _ = operators(rs.gear(), 0.8)
+    rng, n = np.random.default_rng(3), len(split)
+    wave, parameter = 1e-9, 1e6
+    column, row = falling(rng, split) * wave / parameter, np.append(np.zeros(n), 0.3 / parameter)
+    row[split.inner.kept] = falling(rng, split)[split.inner.kept] / wave  # an orbit of few harmonics
+    factors = bordered_factors(split, column, row)
+    whole = np.block([[np.asarray(split), column[:, None]], [row[None]]])
+    right = np.zeros((n + 1, 2))
+    right[:n, 0], right[n, 1] = wave * falling(rng, split), 1.0
+    own = np.append(np.full(n, wave), parameter)[:, None]
+    exact = np.linalg.solve(whole, right) / own
+    assert np.abs(factors.solve(right) / own - exact).max() < 1e-11 * np.abs(exact).max()
+    tangent = factors.solve(right[:, 1:], accuracy=1e-10) / own
+    assert np.abs(tangent - exact[:, 1:]).max() < 1e-8 * np.abs(exact[:, 1]).max()
