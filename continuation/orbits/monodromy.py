@@ -215,6 +215,7 @@ def _batches(
     out = []
     for key, members in groups.items():
         flow = problem.remember(parts[key], _flow)
+        members.sort(key=lambda i: len(orbits[i][0]))  # those of few harmonics are not padded to many
         most = max(1, min(64, _TOGETHER // len(flow.matrix) ** 2))
         out += [(flow, parts[key], members[start : start + most]) for start in range(0, len(members), most)]
     return out

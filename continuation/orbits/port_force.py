@@ -115,16 +115,32 @@ class PortForces:
         spectrum[0] = spectrum[0].real
         return spectrum[: used[-1] + 1] if used.size else spectrum[:1]
 
+    def arguments(self, i: int, spectra: np.ndarray, vectors: list[np.ndarray]) -> np.ndarray:
+        """Return :meth:`argument` (N, K') of several orbits (N, K, k), padded to one length."""
+        if not self.ports.straight(i):
+            found = [self.argument(i, Y, v) for Y, v in zip(spectra, vectors, strict=True)]
+            out = np.zeros((len(found), max(map(len, found))), dtype=complex)
+            for row, a in zip(out, found, strict=True):
+                row[: len(a)] = a
+            return out
+        n, (N, K, _) = self.period_multiple, spectra.shape
+        offsets = [self.ports.forcing(v).offset[i] for v in vectors]
+        out = np.zeros((N, max(K, *((len(offset) - 1) * n + 1 for offset in offsets))), dtype=complex)
+        out[:, :K] = (spectra @ np.array([self.ports.linear(v).d[i] for v in vectors])[..., None])[..., 0]
+        for row, offset in zip(out, offsets, strict=True):
+            row[: (len(offset) - 1) * n + 1 : n] += offset
+        return out
+
     def pattern(self, i: int, argument: np.ndarray) -> series.ContactPattern:
         """Return the changes of contact i along its argument (half spectrum); the last ones are remembered."""
         contact = self.ports.system.contacts[i]
         return self._patterns.get((i, argument.tobytes()), lambda: series.find_pattern(argument, contact))
 
-    def check_rests(self, i: int, arguments: np.ndarray, spectra: list[np.ndarray], vectors: list[np.ndarray]) -> None:
-        """Do :meth:`check_rest` for several orbits, their arguments (N, K) padded to one length."""
+    def check_rests(self, i: int, arguments: np.ndarray, spectra: np.ndarray, vectors: list[np.ndarray]) -> None:
+        """Do :meth:`check_rest` for several orbits (N, K, k) with arguments (N, K')."""
         levels = np.array(self.ports.system.contacts[i].breakpoints)
         way = 2 * np.abs(arguments[:, 1:]).sum(axis=1) + np.abs(arguments[:, :1].real - levels).min(axis=1)
-        size = np.array([np.abs(Y).max() for Y in spectra])
+        size = np.abs(spectra).max(axis=(1, 2))
         for j in np.flatnonzero(way <= _REST * np.maximum(size, np.abs(levels).max())):
             self.check_rest(i, arguments[j], spectra[j], vectors[j])
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from continuation.orbits import contact_series as series
 from continuation.orbits.harmonic_balance import HarmonicBalanceProblem
-from continuation.orbits.spectrum import unpack
 
 _ROWS = 512  # pieces whose exponentials are held at once
 _ALIKE = 8  # pieces of one length from which their exponentials are taken together
@@ -18,14 +17,17 @@ class Waves:
     def __init__(self, problem: HarmonicBalanceProblem, orbits: list[tuple[np.ndarray, float]]) -> None:
         self.problem, self.vectors = problem, [problem.vector(p) for _, p in orbits]
         ports = problem.ports
-        spectra = [unpack(u, ports.outputs) for u, _ in orbits]
-        self.Y = stack(spectra) if ports.smooth else np.zeros((len(orbits), 1, ports.outputs))
+        spectra = unpacked([u for u, _ in orbits], ports.outputs)
+        self.Y = spectra if ports.smooth else np.zeros((len(orbits), 1, ports.outputs))
         self.patterns, self.gains, self.d = [], [], []
+        forcings = [ports.forcing(v) for v in self.vectors]
+        alike = forcings[:1] if all(f is forcings[0] for f in forcings) else forcings  # as along a frequency
         for i, contact in enumerate(problem.system.contacts):
-            arguments = stack([problem.forces.argument(i, Y, v) for Y, v in zip(spectra, self.vectors, strict=True)])
+            arguments = problem.forces.arguments(i, spectra, self.vectors)
             problem.forces.check_rests(i, arguments, spectra, self.vectors)
             self.patterns.append(_padded(series.find_patterns(arguments, contact)))
-            self.gains.append(stack([ports.forcing(v).gain[i].T for v in self.vectors]))
+            gains = stack([f.gain[i].T for f in alike])
+            self.gains.append(np.broadcast_to(gains, (len(orbits), *gains.shape[1:])))
             self.d.append(np.array([ports.linear(v).d[i] for v in self.vectors]))
 
     def pieces(self, longest: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,10 +45,11 @@ class Waves:
 
     def used(self) -> list[tuple[series.ContactPattern, ...]]:
         """Contact changes that the pieces end at, of every orbit one pattern per contact."""
+        counts = [np.isfinite(phases).sum(axis=1).tolist() for phases, _ in self.patterns]  # the rest is filling
         return [
             tuple(
-                series.ContactPattern(phases[i][np.isfinite(phases[i])], modes[i, : np.isfinite(phases[i]).sum() + 1])
-                for phases, modes in self.patterns
+                series.ContactPattern(phases[i, : c[i]], modes[i, : c[i] + 1])
+                for (phases, modes), c in zip(self.patterns, counts, strict=True)
             )
             for i in range(len(self.vectors))
         ]
@@ -76,6 +79,18 @@ class Waves:
             tangent = ports.law(y, theta, vectors, inside)[1]
             slope += tangent.transpose(2, 0, 1).reshape(slope.shape)
         return slope
+
+
+def unpacked(vectors: list[np.ndarray], k: int) -> np.ndarray:
+    """Return the half spectra (N, K, k) of packed vectors that may differ in length, padded with zeros."""
+    lengths = np.array([len(u) for u in vectors])
+    out = np.zeros((len(vectors), (lengths.max() // k + 1) // 2, k), dtype=complex)
+    for length in np.unique(lengths):
+        rows, H = np.flatnonzero(lengths == length), (length // k - 1) // 2
+        u = np.array([vectors[i] for i in rows])
+        out[rows, 0] = u[:, :k]
+        out[rows, 1 : H + 1] = (u[:, k : k + H * k] + 1j * u[:, k + H * k :]).reshape(-1, H, k) / np.sqrt(2.0)
+    return out
 
 
 def stack(arrays: list[np.ndarray]) -> np.ndarray:
