@@ -26,6 +26,7 @@ _TAIL = 8  # times as many orders are eliminated
 _NOTHING = 1e-9  # of the slope: what does not count
 _TOGETHER = 1_000_000  # entries of the matrices that are solved in one call
 _ASKED = 128  # multipliers whose port slopes are held at once
+_FITS = 50_000  # complex numbers that stay in the processor's memory
 _SMALL = 150  # rows of a matrix from which one factorisation less is worth a call each
 _NEAR = 0.01  # of the frequency: a pole that close to a harmonic is kept as an unknown of its own
 
@@ -235,6 +236,8 @@ class _Equations:
         """Return R (N, K, k, m) at many orders: mode by mode, so that little memory is passed through."""
         flow, near = self.flow, _NEAR * self.frequency[:, None]
         at = s[:, None] + 1j * orders * self.frequency[:, None]
+        if at.size * len(flow.poles) < _FITS:
+            return self._receptance(s, orders)[0]
         R = np.zeros((*at.shape, len(flow.left), flow.right.shape[1]), dtype=complex)
         for pole, left, right in zip(flow.poles, flow.left.T, flow.right, strict=True):
             gap = at - pole

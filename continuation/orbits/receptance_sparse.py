@@ -14,6 +14,7 @@ import scipy.sparse.linalg as sla
 
 from continuation.errors import SingularLinearPart
 from continuation.model.linear_part import LinearPart, conditioning
+from continuation.model.recent import Recent
 from continuation.orbits.receptance_rational import Rational, fit, scale
 
 # Harmonics k >= 1 carry the reference stiffness S (1 + 0.5 i): with this hysteretic part, which the ports take off
@@ -60,6 +61,7 @@ class SparseReceptance:
         self._directions = directions[self._driven]
         self._reduce = reduce and self._inputs.shape[1] * len(part.C) <= _MOST_ENTRIES
         self._fit: Rational | None = None
+        self._terms: Recent[tuple[np.ndarray, ...]] = Recent(2)
 
     @property
     def error(self) -> float:
@@ -146,7 +148,9 @@ class SparseReceptance:
 
     def _evaluate(self, s: np.ndarray, power: int) -> np.ndarray:
         assert self._fit is not None
-        values = self._fit(s.imag) if power == 1 else 1j * self._fit.derivative(s.imag)
+        fit, x = self._fit, s.imag
+        terms = self._terms.get((id(fit), x.tobytes()), lambda: fit.terms(x))  # power 2 is asked for after power 1
+        values = terms[0] if power == 1 else 1j * fit.derivative(x, terms)
         return values.reshape(len(s), len(self.part.C), -1)
 
     def _ready(self, s: np.ndarray) -> bool:
@@ -159,6 +163,7 @@ class SparseReceptance:
             first = low / _BELOW if old is None else min(old.low, low / _BELOW)
             last = high * _ABOVE if old is None else max(old.high, high * _ABOVE)
             self._fit = fit(self._exact, first, last, _GOAL, _MOST_NODES)
+            self._terms.clear()
             self._reduce = self._fit.error <= _ACCEPTED
         return self._reduce
 
