@@ -89,7 +89,7 @@ def unpacked(vectors: list[np.ndarray], k: int) -> np.ndarray:
         rows, H = np.flatnonzero(lengths == length), (length // k - 1) // 2
         u = np.array([vectors[i] for i in rows])
         out[rows, 0] = u[:, :k]
-        out[rows, 1 : H + 1] = (u[:, k : k + H * k] + 1j * u[:, k + H * k :]).reshape(-1, H, k) / np.sqrt(2.0)
+        out[rows, 1 : H + 1] = (u[:, k : k + H * k] + 1j * u[:, k + H * k :]).reshape(len(rows), H, k) / np.sqrt(2.0)
     return out
 
 
