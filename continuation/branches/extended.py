@@ -79,7 +79,8 @@ def bordered(M: np.ndarray, b: np.ndarray, c: np.ndarray) -> Null:
         raise NoConvergence("more than one multiplier is critical here")
     unit = np.zeros(N + 1, dtype=np.result_type(b, c))
     unit[N] = 1.0
-    right, left = factors.solve(unit), factors.solve(unit, transposed=True)
+    right = factors.solve(unit, accuracy=1e-12)  # its last entry is the test function
+    left = factors.solve(unit, transposed=True, accuracy=1e-9)  # derivatives are taken with it
     return Null(right[N].item(), right[:N], left[:N])
 
 

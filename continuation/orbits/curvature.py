@@ -143,7 +143,7 @@ class Curvature:
         for c in self.changes:
             if c.phases.size:
                 strength = c.weight * _moved(a, c) * _moved(b, c)
-                out += np.exp(-1j * np.multiply.outer(orders, c.phases)) @ (strength[:, None] * c.push.T)
+                out += series.turns(-c.phases, orders).T @ (strength[:, None] * c.push.T)
         if self.law is not None:
 
             def values(y: Array, theta: Array, modes: Array | None, at: Callable[[Wave], Array]) -> Array:
@@ -165,7 +165,7 @@ class Curvature:
         for i, c in enumerate(self.changes):
             if c.phases.size:
                 strength = c.weight * _dot(left, c.push, c.phases) * _moved(right, c)
-                spectrum += np.exp(-1j * np.multiply.outer(orders, c.phases)) @ (strength[:, None] * c.direction.T)
+                spectrum += series.turns(-c.phases, orders).T @ (strength[:, None] * c.direction.T)
                 by_parameter += self._moves(i, c) @ strength
         if self.law is not None:
 

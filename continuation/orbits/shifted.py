@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from continuation.orbits.contact_series import turns
 from continuation.orbits.spectrum import pack, unpack
 
 _ROOT2 = np.sqrt(2.0)
@@ -40,8 +41,10 @@ class Wave:
 
     def __call__(self, phases: Array, derivative: int = 0) -> Array:
         """Return the values (c, N) at phases (N,), or a derivative by the phase."""
-        waves = np.exp(1j * np.multiply.outer(phases, self.orders)) * (1j * self.orders) ** derivative
-        values = (waves @ self.amplitudes).T
+        amplitudes = self.amplitudes
+        if derivative:
+            amplitudes = amplitudes * ((1j * self.orders) ** derivative)[:, None]
+        values = (turns(phases, self.orders) @ amplitudes).T
         return values.real if self.real else values
 
     def on_grid(self, count: int) -> Array:
