@@ -15,9 +15,8 @@ from continuation.errors import IntegrationFailed, NoConvergence, UnsupportedMod
 _STEP = 1e-8  # a step below this (relative) is the last: convergence is quadratic
 _LINEAR = 1e-8  # accuracy of the linear equations where they are solved by iteration: that of a step and a tangent
 _HALVINGS = 6
-_NEAR = 1e6  # accuracies up to which a first step may be followed by a chord step
+_NEAR = 1e6  # times the accuracy: largest first step that a chord step may follow
 _RATE = 0.02  # largest ratio of both
-_PART = 1.0  # of the accuracy that a chord step may leave
 _LONGEST_CYCLE = 4  # iterates that are looked at for a return to an earlier one
 _ESCAPES = 3  # cycles that are left by their mean before Newton's method gives up
 _SINGULAR = (
@@ -183,7 +182,7 @@ def _finished(
     step, t, keep = found
     chord = metric.length(step[:-1], float(step[-1]))
     rest = chord**2 / size
-    if not (chord < _RATE * size and 10 * rest < _PART * accuracy):
+    if not (chord < _RATE * size and 10 * rest < accuracy):
         return None
     keep(2 * rest * metric.size)
     norm = metric.length(t[:-1], float(t[-1]))

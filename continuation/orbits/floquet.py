@@ -59,7 +59,7 @@ def make_orbits(problem: Any, points: list[tuple[np.ndarray, float, float]]) -> 
         if estimates[i].fixed is None:
             bar = side_unknown(mu[i], bar, bool(problem.free))
         bars.append(bar)
-    checked = [used if d < _SAME else None for used, d in zip(flow.patterns, defects, strict=False)]
+    checked = [used if d < _SAME else None for used, d in zip(flow.patterns[:n], defects, strict=True)]
     opinions = second_opinions(problem, own, mu, np.array(bars), checked)
     orbits = []
     for i, (u, p, error) in enumerate(points):
