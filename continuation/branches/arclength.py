@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from continuation.branches.analysis import analyse
 from continuation.branches.branch import Branch
@@ -85,7 +84,7 @@ def trace(
         ``{"rms 0.3": lambda orbit: orbit.rms("x") - 0.3}``. They are evaluated on interpolated orbits, too, should be
         smooth along the branch, and may return NaN where they have no value.
     special_points : bool
-        False leaves them out: the response with its verdicts alone, in about two thirds of the time.
+        False leaves them out: the response with its verdicts alone, in about 60 % of the time.
 
     Returns
     -------
@@ -168,8 +167,7 @@ def _corrected(problem: Any, u: np.ndarray, p: float, metric: Metric) -> Node:
         return correct(problem, (u, p), (np.zeros_like(u), 1.0), metric, iterations=30)
     except NoConvergence as failure:
         _, J, Fp = problem.linearise(u, p)
-        scaled = J * metric.size if sp.issparse(J) else np.asarray(J) * metric.size
-        null = null_direction(scaled, Fp * metric.span)
+        null = null_direction(J * metric.size, Fp * metric.span)
         node = correct(problem, (u, p), (null[:-1] * metric.size, null[-1] * metric.span), metric, iterations=30)
         if abs(node.p - p) > 1e-3 * metric.span:
             raise failure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -86,13 +86,3 @@ class Segment:
             if abs(step) < 1e-10:
                 break
         return x
-
-    def sharpened(self, like: np.ndarray) -> Segment:
-        """Return the same piece with both ends corrected at another resolution."""
-
-        def redo(n: Node) -> Node:
-            fit = self.problem.lengthen
-            t = fit(n.tu, like), n.tp
-            return replace(correct(self.problem, (fit(n.u, like), n.p), t, self.metric), error=n.error)
-
-        return Segment(self.problem, self.metric, redo(self.a), redo(self.b))

@@ -168,7 +168,7 @@ def _finished(
 ) -> Node | None:
     """Return the node that one chord step with the factors of the first step reaches, None where that is not enough.
 
-    The rate of chord steps is about twice that of the sizes of both steps, which bounds what is left.
+    The rate of chord steps is about twice that of the sizes of both steps, from which what is left is estimated.
     """
     finish = getattr(problem, "finish", None)
     if finish is None or size > _NEAR * accuracy:

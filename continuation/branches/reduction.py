@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from continuation.branches.bordered import lu_of
 from continuation.branches.extended import ExtendedProblem
 from continuation.branches.newton import size_of
 from continuation.errors import UnsupportedModel
 from continuation.orbits import contact_series as series
 from continuation.orbits.curvature import Curvature
+from continuation.orbits.dense_factors import lu_of
 from continuation.orbits.port_force import trimmed
 from continuation.orbits.shifted import ShiftedOperator, Wave, as_vector, as_wave, receptances, states
 from continuation.orbits.spectrum import unpack
@@ -215,7 +215,7 @@ def _solved(J: Any, right: np.ndarray) -> np.ndarray:
     """Return the solution (N,) for a Jacobian, dense, sparse or split."""
     if sp.issparse(J):
         return np.asarray(sp.linalg.spsolve(J, right))
-    factors = (J.factors() if isinstance(J, SplitMatrix) else None) or lu_of(np.array(J, order="F"))
+    factors = J.factors() if isinstance(J, SplitMatrix) else lu_of(np.array(J, order="F"))
     if factors is None:
         raise np.linalg.LinAlgError("the Jacobian is singular")
     return factors.solve(right)

@@ -145,7 +145,7 @@ def across(
     n = len(Fp)
     row = np.append(parent[0] / metric.size, parent[1] / metric.span)
     row /= np.linalg.norm(row)
-    solve = _solver(J * metric.size if sp.issparse(J) else np.asarray(J) * metric.size, Fp * metric.span, row)
+    solve = _solver(J * metric.size, Fp * metric.span, row)
     v = np.random.default_rng(0).standard_normal(n + 1)
     for _ in range(4):
         for transposed in (True, False):

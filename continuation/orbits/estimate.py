@@ -10,7 +10,7 @@ import numpy as np
 from continuation.branches.bordered import bordered_factors
 from continuation.branches.newton import size_of
 from continuation.orbits.near_fold import measures_error
-from continuation.orbits.spectrum import pack, unpack
+from continuation.orbits.spectrum import pack, product, unpack
 from continuation.orbits.split_operator import SplitMatrix
 
 _LINEAR = 1e-6  # accuracy of the linear equations where they are solved by iteration
@@ -229,8 +229,3 @@ def waveform_size(u: np.ndarray, k: int) -> float:
     """Return a bound of the waveform of a packed spectrum: the sum of its amplitudes."""
     pairs = u[k:].reshape(2, -1)
     return float(np.abs(u[:k]).sum() + np.sqrt(2.0) * np.hypot(pairs[0], pairs[1]).sum())
-
-
-def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Multiply stacks of small matrices; one by one, that is elementwise, for a single port."""
-    return a * b if a.shape[-2:] == b.shape[-2:] == (1, 1) else a @ b

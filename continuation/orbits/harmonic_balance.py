@@ -14,12 +14,12 @@ from continuation.model.ports import LinearPart, Ports
 from continuation.model.recent import Recent
 from continuation.model.system import System
 from continuation.orbits.curvature import critical_form
-from continuation.orbits.estimate import Estimate, estimate_error, finish, product, waveform_size
+from continuation.orbits.estimate import Estimate, estimate_error, finish, waveform_size
 from continuation.orbits.orbit import Orbit
 from continuation.orbits.port_force import PortForces
 from continuation.orbits.receptance import Receptance, receptance
 from continuation.orbits.shifted import CriticalForm, ShiftedOperator
-from continuation.orbits.spectrum import operator, pack, resize, unpack
+from continuation.orbits.spectrum import operator, pack, product, resize, unpack
 from continuation.orbits.split_operator import split
 
 _REMEMBERED = 1024  # error estimates kept

@@ -36,6 +36,11 @@ def resize(u: np.ndarray, k: int, harmonics: int) -> np.ndarray:
     return pack(new)
 
 
+def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Multiply stacks of small matrices (K, k, m) and (K, m, c); elementwise where the first ones are numbers."""
+    return a * b if a.shape[-2:] == (1, 1) else a @ b
+
+
 def operator(
     transfer: np.ndarray, slope: np.ndarray, shift: np.ndarray, columns: int, half: bool = False
 ) -> np.ndarray:

@@ -13,9 +13,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.linalg as sl
 
-from continuation.orbits.spectrum import operator
+from continuation.errors import NoConvergence
+from continuation.orbits.dense_factors import DenseFactors, lu_of
+from continuation.orbits.spectrum import operator, product
 
 LEAST = 100  # harmonics from which the dense operator costs more
 _SMALL = 0.5  # bound of what couples the high harmonics to others; it is far from sharp
@@ -99,16 +100,16 @@ class BalanceOperator:
     def applied(self, Y: Array, transposed: bool = False) -> Array:
         """Return the operator or its transpose applied to harmonics (K, k, c); cost two Fourier transforms."""
         if transposed:
-            V = _product(self._back, Y)
-            load = self._spectrum(_product(self._values.transpose(0, 2, 1), self._samples(V)))
-            return np.asarray(Y - load - _product(self._shift_back, V))
-        load = self._spectrum(_product(self._values, self._samples(Y)))
-        return np.asarray(Y - _product(self.transfer, load + _product(self.shift, Y)))
+            V = product(self._back, Y)
+            load = self._spectrum(product(self._values.transpose(0, 2, 1), self._samples(V)))
+            return np.asarray(Y - load - product(self._shift_back, V))
+        load = self._spectrum(product(self._values, self._samples(Y)))
+        return np.asarray(Y - product(self.transfer, load + product(self.shift, Y)))
 
     def high(self, Y: Array, transposed: bool) -> Array:
         """Return the harmonics from ``low`` on, solved by their diagonal, (K - low, k, c)."""
         inverse = self._inverse.conj().transpose(0, 2, 1) if transposed else self._inverse
-        return _product(inverse, Y[self.low :])
+        return product(inverse, Y[self.low :])
 
     def weighted(self, Y: Array) -> Array:
         """Return harmonics (K, k, c) as rows (c, K k) whose real product with others is that of packed vectors."""
@@ -125,10 +126,6 @@ class BalanceOperator:
     def dense(self) -> Array:
         """Return the whole operator as a matrix (N, N)."""
         return operator(self.transfer, self.slope, self.shift, len(self.transfer), self.half)
-
-
-def _product(a: Array, b: Array) -> Array:
-    return a * b if a.shape[1:] == (1, 1) else a @ b
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +151,9 @@ class SplitMatrix:
         dense = np.block([[self.inner.dense(), self.columns], [self.rows, self.corner]])
         return dense if dtype is None else dense.astype(dtype)
 
+    def __mul__(self, factor: float) -> Array:
+        return np.asarray(self) * factor
+
     def bordered(self, columns: Array, rows: Array, corner: Array) -> SplitMatrix:
         """Return the matrix with further columns (n, b), rows (b, n) and a corner (b, b)."""
         n = self.inner.size
@@ -164,32 +164,32 @@ class SplitMatrix:
             np.block([[self.corner, columns[n:]], [rows[:, n:], corner]]),
         )
 
-    def factors(self) -> SplitFactors | None:
-        """Return the factors, None where those of the low harmonics with the borders are singular."""
+    def factors(self) -> SplitFactors | DenseFactors | None:
+        """Return the factors, dense ones where the low harmonics alone are singular; None if the whole is."""
         kept = self.inner.kept
         block = np.block([[self.inner.block, self.columns[kept]], [self.rows[:, kept], self.corner]])
-        lu, pivots, info = sl.lapack.dgetrf(np.asfortranarray(block), overwrite_a=True)
-        return SplitFactors(self, lu, pivots) if info == 0 else None
+        low = lu_of(np.asfortranarray(block))
+        return lu_of(np.asfortranarray(self)) if low is None else SplitFactors(self, low)
 
     def times(self, x: Array, transposed: bool = False) -> Array:
         """Return the product with columns (n, c)."""
         n, inner = self.inner.size, self.inner
         right, low = (self.rows.T, self.columns.T) if transposed else (self.columns, self.rows)
         corner = self.corner.T if transposed else self.corner
-        product = inner.pack(inner.applied(inner.unpack(x[:n]), transposed))
-        return np.concatenate([product + right @ x[n:], low @ x[:n] + corner @ x[n:]])
+        inside = inner.pack(inner.applied(inner.unpack(x[:n]), transposed))
+        return np.concatenate([inside + right @ x[n:], low @ x[:n] + corner @ x[n:]])
 
 
 class SplitFactors:
     """Dense factors of the low harmonics and borders of a SplitMatrix, by which the whole is solved in sweeps."""
 
-    def __init__(self, matrix: SplitMatrix, lu: Array, pivots: Array) -> None:
-        self.matrix, self._lu, self._pivots = matrix, lu, pivots
+    def __init__(self, matrix: SplitMatrix, low: DenseFactors) -> None:
+        self.matrix, self._low = matrix, low
 
     @property
     def sign(self) -> float:
         """Sign of the determinant of the low block: that of the whole, but within truncation of a zero."""
-        return _sign(self._lu, self._pivots)
+        return self._low.sign
 
     def solve(self, right: Array, transposed: bool = False, accuracy: float = 1e-13) -> Array:
         """Return the solution (n, c) for right-hand sides (n, c) or (n,), its residual below an accuracy.
@@ -201,9 +201,11 @@ class SplitFactors:
             return self.solve(right[:, None], transposed, accuracy)[:, 0]
         found = self._swept(right, transposed, accuracy)
         if found is None:
-            lu, pivots, _ = sl.lapack.dgetrf(np.asfortranarray(self.matrix), overwrite_a=True)
-            found = sl.lapack.dgetrs(lu, pivots, right, trans=int(transposed))[0]
-        return np.asarray(found)
+            dense = lu_of(np.asfortranarray(self.matrix))
+            if dense is None:
+                raise NoConvergence("the bordered balance is singular: give the orbit a load, a spring or damping")
+            found = dense.solve(right, transposed)
+        return found
 
     def _swept(self, right: Array, transposed: bool, accuracy: float) -> Array | None:
         matrix, inner = self.matrix, self.matrix.inner
@@ -228,7 +230,7 @@ class SplitFactors:
                 return np.concatenate([inner.pack(Y), x]) if size < _ROUNDING else None
             before = size
             packed = np.concatenate([inner.pack(left[:low]), rest])
-            found = sl.lapack.dgetrs(self._lu, self._pivots, packed, trans=int(transposed))[0]
+            found = self._low.solve(packed, transposed)
             step = np.zeros_like(left)
             step[:low] = inner.unpack(found[:kept])
             flat = step.reshape(-1, step.shape[2])
@@ -253,11 +255,6 @@ def _relative(left: Array, rest: Array, scales: list[Array]) -> float:
     pairs = zip((_norm(left), np.abs(rest)), scales, strict=True)
     found = [np.divide(v, s, out=np.zeros_like(v), where=s != 0).max(initial=0.0) for v, s in pairs]
     return float(np.max(found))
-
-
-def _sign(lu: Array, pivots: Array) -> float:
-    swaps = int(np.count_nonzero(pivots != np.arange(len(pivots))))
-    return float(np.prod(np.sign(np.diag(lu)))) * (-1.0) ** swaps
 
 
 def split(transfer: Array, slope: Array, shift: Array, half: bool) -> SplitMatrix | None:
